@@ -1,0 +1,1 @@
+"""The vocabulary every other package speaks: types, topics, settings and wire formats."""

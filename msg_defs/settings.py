@@ -1,0 +1,66 @@
+"""YAML <-> frozen dataclasses, strictly: an unknown key or a value out of range is an error.
+
+A scenario file has one section per package, and each package reads its own:
+
+    sim_world: {...}
+    multi_robot_slam: {...}
+
+Fields are declared once, as `Annotated[type, limits, "description [unit]"]` in a class decorated
+with `msg_defs.types.settings`; limits come from `annotated_types`.
+"""
+
+from pathlib import Path
+from typing import TypeVar
+
+import yaml
+from pydantic import TypeAdapter, ValidationError
+
+from msg_defs.errors import InputError
+
+SECTIONS = ("sim_world", "multi_robot_slam")
+
+Settings = TypeVar("Settings")
+
+
+def from_mapping(cls: type[Settings], values: dict, source: str = "settings") -> Settings:
+    """Build `cls` from nested plain values; `InputError` names each key that does not fit."""
+    try:
+        return TypeAdapter(cls).validate_python(values)
+    except ValidationError as error:
+        raise InputError("\n".join(_explain(e, source) for e in error.errors())) from None
+
+
+def from_yaml(cls: type[Settings], text: str, section: str, source: str = "YAML") -> Settings:
+    """Read `section` of a scenario given as YAML text; a section left out means all defaults."""
+    try:
+        scenario = yaml.safe_load(text) or {}
+    except yaml.YAMLError as error:
+        raise InputError(f"{source}: not valid YAML: {error}") from None
+    if not isinstance(scenario, dict):
+        raise InputError(f"{source}: expected sections {', '.join(SECTIONS)}, found {scenario!r}")
+    for name in scenario:
+        if name not in SECTIONS:
+            raise InputError(f"{source}: unknown section '{name}'; use {' or '.join(SECTIONS)}")
+    return from_mapping(cls, scenario.get(section) or {}, f"{source}: {section}")
+
+
+def from_file(cls: type[Settings], path: Path, section: str) -> Settings:
+    """Read `section` of the scenario file at `path`."""
+    try:
+        text = Path(path).read_text()
+    except OSError as error:
+        raise InputError(f"cannot read the scenario {path}: {error.strerror}") from None
+    return from_yaml(cls, text, section, str(path))
+
+
+def to_yaml(**sections: object) -> str:
+    """The inverse of `from_yaml`: every field of every given section, defaults included."""
+    plain = {name: TypeAdapter(type(s)).dump_python(s, mode="json") for name, s in sections.items()}
+    return yaml.safe_dump(plain, sort_keys=False)
+
+
+def _explain(error: dict, source: str) -> str:
+    key = ".".join(str(part) for part in error["loc"])
+    if error["type"] == "unexpected_keyword_argument":
+        return f"{source}: unknown key '{key}'; remove it or correct its spelling"
+    return f"{source}: {key} = {error['input']!r}: {error['msg']}"

@@ -1,0 +1,76 @@
+"""Every topic and frame id, written once. Names are relative, so that namespaces work."""
+
+from typing import NamedTuple
+
+STREAM = "stream"
+"""Reliable, keep the last 1000: nothing may be lost."""
+LATCHED = "latched"
+"""Reliable and transient local, depth 1: late subscribers get the last message."""
+SENSOR = "sensor"
+"""Best effort, depth 1: only the newest counts."""
+
+MAP_FRAME = "map"
+
+
+class Topic(NamedTuple):
+    """A topic's name, its ROS message type and its quality of service."""
+
+    name: str
+    type: str
+    qos: str = STREAM
+
+
+GROUND_TRUTH_LANDMARKS = Topic("ground_truth/landmarks", "sensor_msgs/msg/PointCloud2", LATCHED)
+GROUND_TRUTH_WALLS = Topic("ground_truth/walls", "visualization_msgs/msg/Marker", LATCHED)
+MAP_LANDMARKS = Topic("map/landmarks", "sensor_msgs/msg/PointCloud2", LATCHED)
+MAP_MARKERS = Topic("map/markers", "visualization_msgs/msg/MarkerArray", LATCHED)
+STEPS = Topic("fusion/steps", "diagnostic_msgs/msg/DiagnosticArray")
+FUSION_CONFIG = Topic("fusion/config", "std_msgs/msg/String", LATCHED)
+WORLD_CONFIG = Topic("sim_world/config", "std_msgs/msg/String", LATCHED)
+DIAGNOSTICS = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
+TF = Topic("/tf", "tf2_msgs/msg/TFMessage")
+
+
+def odometry(robot: str) -> Topic:
+    return Topic(f"{robot}/odom", "nav_msgs/msg/Odometry")
+
+
+def observations(robot: str) -> Topic:
+    return Topic(f"{robot}/stereo/landmarks", "sensor_msgs/msg/PointCloud2")
+
+
+def observation_truth(robot: str) -> Topic:
+    return Topic(f"{robot}/stereo/truth", "sensor_msgs/msg/PointCloud2")
+
+
+def ground_truth(robot: str) -> Topic:
+    return Topic(f"{robot}/ground_truth", "nav_msgs/msg/Odometry")
+
+
+def pose(robot: str) -> Topic:
+    return Topic(f"{robot}/pose", "geometry_msgs/msg/PoseWithCovarianceStamped")
+
+
+def path(robot: str) -> Topic:
+    return Topic(f"{robot}/path", "nav_msgs/msg/Path", LATCHED)
+
+
+def particles(robot: str) -> Topic:
+    return Topic(f"{robot}/particles", "geometry_msgs/msg/PoseArray", SENSOR)
+
+
+def odom_frame(robot: str) -> str:
+    return f"{robot}/odom"
+
+
+def base_frame(robot: str) -> str:
+    return f"{robot}/base_link"
+
+
+def camera_frame(robot: str) -> str:
+    return f"{robot}/camera_left_optical"
+
+
+def robot_name(index: int) -> str:
+    """Default name of the team's robot `index`, counted from 0."""
+    return f"robot_{index + 1}"

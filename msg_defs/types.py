@@ -1,0 +1,197 @@
+"""What flows between the packages: plain frozen records of NumPy arrays.
+
+Frames
+------
+map         the world frame all estimates live in
+odom        a robot's own odometry frame, drifting against `map`
+base_link   on the robot: x forward, y left, z up
+camera      the left camera as in the paper's (14): X right, Y up, Z forward.
+            Messages use the optical frame of REP-103 (x right, y down, z forward);
+            `msg_defs.wire` flips the sign, nobody else does.
+
+Symmetric 3x3 covariances are stored as six numbers in the order `xx xy xz yy yz zz`.
+Stamps are integer nanoseconds.
+"""
+
+from dataclasses import dataclass, field
+from typing import Annotated, TypeVar
+
+import numpy as np
+from annotated_types import Gt
+
+DESCRIPTOR_SIZE = 128
+"""Elements of a SIFT descriptor; descriptors have unit norm before noise."""
+
+COVARIANCE_ORDER = ("xx", "xy", "xz", "yy", "yz", "zz")
+"""The order in which the six distinct elements of a covariance are stored."""
+
+
+Cls = TypeVar("Cls")
+
+
+def settings(cls: type[Cls]) -> type[Cls]:
+    """Declare a settings record: frozen, and strict when `msg_defs.settings` reads it."""
+    cls.__pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}
+    return dataclass(frozen=True)(cls)
+
+
+@settings
+class CameraMount:
+    """Where the left camera sits on the robot; it looks straight ahead."""
+
+    forward_m: Annotated[float, "left camera ahead of base_link [m]"] = 0.0
+    left_m: Annotated[float, "left camera to the left of base_link [m]"] = 0.06
+    up_m: Annotated[float, "left camera above base_link [m]"] = 1.0
+
+
+@settings
+class StereoCamera:
+    """Two pin-hole cameras with parallel axes, and where they sit on the robot (paper sec. 3.2)."""
+
+    focal_px: Annotated[float, Gt(0), "focal length f [px]"] = 500.0
+    baseline_m: Annotated[float, Gt(0), "distance I between the two cameras [m]"] = 0.12
+    width_px: Annotated[int, Gt(0), "image width [px]"] = 640
+    height_px: Annotated[int, Gt(0), "image height [px]"] = 480
+    sigma_rc_px: Annotated[float, Gt(0), "standard deviation of row and column [px]"] = 10.0
+    sigma_disparity_px: Annotated[float, Gt(0), "standard deviation of the disparity [px]"] = 0.1
+    mount: CameraMount = field(default_factory=CameraMount)
+
+    @property
+    def centre_px(self) -> tuple[float, float]:
+        """Column and row (C_x, C_y) where the optical axis meets the image [px]."""
+        return self.width_px / 2, self.height_px / 2
+
+
+@dataclass(frozen=True, eq=False)
+class PoseSample:
+    """A planar pose of one robot: odometry (in its `odom` frame) or ground truth (in `map`)."""
+
+    robot: str
+    stamp_ns: int
+    pose: np.ndarray
+    """(3,) float64: x [m], y [m], yaw [rad]."""
+    twist: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    """(2,) float64: forward velocity [m/s], yaw rate [rad/s], in `base_link`."""
+    covariance: np.ndarray = field(default_factory=lambda: np.zeros((3, 3)))
+    """(3, 3) float64: covariance of `pose` [m^2, m rad, rad^2]."""
+
+
+@dataclass(frozen=True, eq=False)
+class ObservationSet:
+    """Everything one stereo camera sees at one instant: B observations z = (v, d)."""
+
+    robot: str
+    stamp_ns: int
+    positions: np.ndarray
+    """(B, 3) float32: v = (X, Y, Z) in the camera frame [m]."""
+    covariances: np.ndarray
+    """(B, 6) float32: R_t of each v, camera frame [m^2]."""
+    descriptors: np.ndarray
+    """(B, 128) float32: d."""
+
+
+@dataclass(frozen=True, eq=False)
+class ObservationTruth:
+    """Which true landmark each observation of an `ObservationSet` came from (evaluation only)."""
+
+    robot: str
+    stamp_ns: int
+    landmarks: np.ndarray
+    """(B,) uint32: row in the true `LandmarkMap`."""
+
+
+Event = PoseSample | ObservationSet
+"""What a pipeline consumes: odometry and observations."""
+
+
+@dataclass(frozen=True, eq=False)
+class LandmarkMap:
+    """N landmarks, estimated (the best particle's map) or true (zero covariance)."""
+
+    ids: np.ndarray
+    """(N,) uint32: stable identity of each landmark."""
+    positions: np.ndarray
+    """(N, 3) float32 in `map` [m]."""
+    covariances: np.ndarray
+    """(N, 6) float32 in `map` [m^2]."""
+    observations: np.ndarray
+    """(N,) uint32: how often each was observed, its creation included."""
+    robots: np.ndarray
+    """(N,) uint32: bit i is set when the i-th robot of the team observed it."""
+    descriptors: np.ndarray
+    """(N, 128) float32."""
+
+
+@dataclass(frozen=True, eq=False)
+class Walls:
+    """Vertical walls that stand on the ground and block sight."""
+
+    segments: np.ndarray
+    """(W, 4) float64: x0, y0, x1, y1 of each wall in `map` [m]."""
+    height_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class RobotFrame:
+    """One robot's share of a filter step: how it moved since its last frame, and what it sees."""
+
+    robot: int
+    """Index in the team."""
+    stamp_ns: int
+    motion: np.ndarray
+    """(3,) float64: u = (dx, dy, dyaw) in the robot's previous `base_link` [m, m, rad]."""
+    observations: ObservationSet
+
+
+@dataclass(frozen=True, eq=False)
+class FrameRecord:
+    """What the best particle made of one robot's frame."""
+
+    robot: str
+    landmarks: np.ndarray
+    """(B,) int64: id of the landmark each observation updated or created."""
+    is_new: np.ndarray
+    """(B,) bool: the observation created its landmark."""
+    is_rejected: np.ndarray
+    """(B,) bool: a descriptor matched, but every match lay outside the gate D_0."""
+    mahalanobis: np.ndarray
+    """(B,) float32: D (18) of the accepted match, NaN for a new landmark."""
+    descriptor_distance: np.ndarray
+    """(B,) float32: E (19) of the accepted match, NaN for a new landmark."""
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """One robot's pose after a step."""
+
+    robot: str
+    stamp_ns: int
+    pose: np.ndarray
+    """(3,) float64: x [m], y [m], yaw [rad] of the best particle (17), in `map`."""
+    covariance: np.ndarray
+    """(3, 3) float64: covariance of the particle set [m^2, m rad, rad^2]."""
+
+
+@dataclass(frozen=True, eq=False)
+class StepRecord:
+    """One step of the filter, for whoever watches it."""
+
+    stamp_ns: int
+    step: int
+    frames: tuple[FrameRecord, ...]
+    estimates: tuple[Estimate, ...]
+    """One for each robot that had a frame in this step, in the same order."""
+    effective_particles: float
+    """Effective sample size of the weights before resampling, 1 .. M."""
+    resampled: bool
+    duration_ms: float
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """A robot's path: T poses in `map`."""
+
+    stamps_ns: np.ndarray
+    """(T,) int64, ascending."""
+    poses: np.ndarray
+    """(T, 3) float64: x [m], y [m], yaw [rad]."""

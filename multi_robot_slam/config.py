@@ -1,0 +1,27 @@
+"""The estimate's configuration: one record of all modules' settings (`multi_robot_slam` section)."""
+
+from dataclasses import field
+from typing import Annotated
+
+from annotated_types import Ge
+
+from msg_defs.types import CameraMount, settings
+from multi_robot_slam.filter.rbpf import FilterSettings
+
+SECTION = "multi_robot_slam"
+
+
+@settings
+class Config:
+    """Everything the fusion needs to know before the first message."""
+
+    robots: Annotated[tuple[str, ...], "names of the team's robots"] = ("robot_1",)
+    start_poses: Annotated[
+        tuple[tuple[float, float, float], ...], "x, y, yaw of each robot at the start [m, m, rad]"
+    ] = ((0.0, 0.0, 0.0),)
+    seed: Annotated[int, Ge(0), "seed of the filter's random numbers"] = 0
+    reorder_window_s: Annotated[
+        float, Ge(0), "how long a silent robot holds the others back, in message time [s]"
+    ] = 5.0
+    mount: CameraMount = field(default_factory=CameraMount)
+    filter: FilterSettings = field(default_factory=FilterSettings)

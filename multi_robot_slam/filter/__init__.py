@@ -1,0 +1,1 @@
+"""The Rao-Blackwellized particle filter, readable beside the paper."""
