@@ -44,6 +44,17 @@ def from_yaml(cls: type[Settings], text: str, section: str, source: str = "YAML"
     return from_mapping(cls, scenario.get(section) or {}, f"{source}: {section}")
 
 
+def find_scenario(name: str) -> Path:
+    """The scenario file at the path `name`, or the one of that name that ships: `paper`, ..."""
+    shipped = {
+        path.stem: path for path in sorted((Path(__file__).parent / "config").glob("*.yaml"))
+    }
+    path = shipped.get(name, Path(name))
+    if not path.is_file():
+        raise InputError(f"no scenario '{name}': name a YAML file, or {' or '.join(shipped)}")
+    return path
+
+
 def from_file(cls: type[Settings], path: Path, section: str) -> Settings:
     """Read `section` of the scenario file at `path`."""
     try:
@@ -53,9 +64,14 @@ def from_file(cls: type[Settings], path: Path, section: str) -> Settings:
     return from_yaml(cls, text, section, str(path))
 
 
+def to_plain(record: object) -> dict:
+    """The inverse of `from_mapping`: nested plain values of every field."""
+    return TypeAdapter(type(record)).dump_python(record, mode="json")
+
+
 def to_yaml(**sections: object) -> str:
     """The inverse of `from_yaml`: every field of every given section, defaults included."""
-    plain = {name: TypeAdapter(type(s)).dump_python(s, mode="json") for name, s in sections.items()}
+    plain = {name: to_plain(record) for name, record in sections.items()}
     return yaml.safe_dump(plain, sort_keys=False)
 
 

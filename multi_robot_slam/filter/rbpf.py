@@ -1,10 +1,22 @@
-"""Placeholder while the filter is written."""
+"""Algorithm 1: one particle set over the poses of K robots, each with a map of small EKFs."""
 
-from typing import Annotated
+from dataclasses import dataclass, field
+from typing import Annotated, NamedTuple
 
-from annotated_types import Interval
+import numpy as np
+from annotated_types import Gt, Interval
 
-from msg_defs.types import settings
+from msg_defs.types import (
+    DESCRIPTOR_SIZE,
+    CameraMount,
+    ObservationSet,
+    RobotFrame,
+    settings,
+)
+from multi_robot_slam.filter import association, kernels, motion, resampling, stereo
+from multi_robot_slam.filter.history import History
+from multi_robot_slam.filter.landmarks import Landmarks
+from multi_robot_slam.filter.motion import MotionSettings
 
 
 @settings
@@ -12,3 +24,186 @@ class FilterSettings:
     """Settings of the particle filter."""
 
     particles: Annotated[int, Interval(ge=1, le=100_000), "number of particles M"] = 500
+    gate: Annotated[
+        float, Gt(0), "D_0, squared Mahalanobis distance; the 99 % quantile of chi2 with 3 dof"
+    ] = 11.345
+    descriptor_gate: Annotated[float, Gt(0), "E_0, squared descriptor distance"] = 0.04
+    resample_below: Annotated[
+        float, Interval(ge=0, le=1), "resample below this share of M effective; 1 = every step"
+    ] = 1.0
+    motion: MotionSettings = field(default_factory=MotionSettings)
+
+
+@dataclass
+class State:
+    """What the next step needs; `step` changes it in place."""
+
+    poses: np.ndarray
+    """(K, 3, M) float64: x, y [m], yaw [rad] in `map`."""
+    landmarks: Landmarks
+    log_weights: np.ndarray
+    """(M,) float64: logarithm of the weights since the last resampling, up to a constant."""
+    log_weight_sum: np.ndarray
+    """(M,) float64: sum over all steps of each particle's lineage (17)."""
+    history: History
+    steps: int = 0
+
+
+class FrameInfo(NamedTuple):
+    """What each particle made of one robot's frame, before resampling."""
+
+    matches: np.ndarray
+    """(B, M) int32: id of the landmark that was updated or created."""
+    squared: np.ndarray
+    """(B, M): D (18)."""
+    log_likelihood: np.ndarray
+    """(M,) float64: sum of the logarithms of (16)."""
+    new_ids: np.ndarray
+    """(B,) int32: id of the landmark that each observation would create."""
+    candidates: association.Candidates
+    candidate_ids: np.ndarray
+    """(C,) int32: id of each candidate."""
+
+    def descriptor_distances(self, matches: np.ndarray) -> np.ndarray:
+        """E (19) of B `matches` (ids), (B,) float32; NaN where a match was no candidate."""
+        observation = np.repeat(np.arange(len(matches)), np.diff(self.candidates.starts))
+        chosen = self.candidate_ids == matches[observation]
+        result = np.full(len(matches), np.nan, np.float32)
+        result[observation[chosen]] = self.candidates.distances[chosen]
+        return result
+
+
+class StepInfo(NamedTuple):
+    """What an observer of a step wants to know."""
+
+    frames: tuple[FrameInfo, ...]
+    effective_particles: float
+    ancestors: np.ndarray | None
+    """(M,) int32: the particle before resampling that each continues; None: not resampled."""
+
+
+def init(start_poses: np.ndarray, settings: FilterSettings, dtype: type = np.float32) -> State:
+    """All particles at `start_poses` (K, 3): x, y [m], yaw [rad] in `map`; an empty map."""
+    count = settings.particles
+    return State(
+        poses=np.repeat(np.asarray(start_poses, float)[:, :, None], count, axis=2),
+        landmarks=Landmarks(count, dtype),
+        log_weights=np.zeros(count),
+        log_weight_sum=np.zeros(count),
+        history=History(count),
+    )
+
+
+def step(
+    state: State,
+    frames: list[RobotFrame],
+    settings: FilterSettings,
+    mount: CameraMount,
+    rng: np.random.Generator,
+) -> StepInfo:
+    """One pass of Algorithm 1's loop, lines 5-10, over the frames of one instant."""
+    infos = []
+    for frame in frames:
+        predict(state.poses[frame.robot], frame.motion, settings.motion, rng)  # (7)
+        info = associate_and_update(state, frame, settings, mount)  # (8)-(13), (18), (19)
+        state.log_weights += info.log_likelihood  # (16)
+        state.log_weight_sum += info.log_likelihood  # (17)
+        state.history.append(
+            frame, state.steps, state.poses[frame.robot], info.matches, info.new_ids
+        )
+        infos.append(info)
+    weights = resampling.normalise(state.log_weights)
+    effective = resampling.effective_sample_size(weights)
+    ancestors = None
+    if effective <= settings.resample_below * len(weights):
+        ancestors = resampling.systematic(weights, rng.random())
+        resample(state, ancestors)
+    state.steps += 1
+    return StepInfo(tuple(infos), effective, ancestors)
+
+
+def predict(
+    poses: np.ndarray, u: np.ndarray, noise: MotionSettings, rng: np.random.Generator
+) -> None:
+    """Sample the motion model (7): `poses` (3, M) of one robot move by u (3,) plus noise."""
+    sigma = motion.standard_deviations(u, noise)
+    motion.move(poses, u[:, None] + sigma[:, None] * rng.standard_normal(poses.shape))
+
+
+def associate_and_update(
+    state: State, frame: RobotFrame, settings: FilterSettings, mount: CameraMount
+) -> FrameInfo:
+    """Algorithm 1, lines 15-39, for all particles: match, update or create, and weigh."""
+    landmarks, seen = state.landmarks, frame.observations
+    count, particles, dtype = len(seen.positions), settings.particles, state.landmarks.planes.dtype
+    candidates = association.find_candidates(
+        seen.descriptors, landmarks.descriptors[: landmarks.top], settings.descriptor_gate
+    )
+    landmarks.bring_up_to_date(np.unique(candidates.columns[candidates.columns >= 0]))
+    new_columns = landmarks.reserve(count)
+    new_ids = landmarks.ids[new_columns]
+
+    v, noise = stereo.to_body(seen.positions, seen.covariances, mount)
+    x, y, yaw = state.poses[frame.robot]
+    poses = np.stack([np.cos(yaw), np.sin(yaw), x, y]).astype(dtype)
+    matches = np.empty((count, particles), np.int32)
+    squared = np.zeros((count, particles), dtype)
+    determinants = np.ones((count, particles), dtype)
+    created = np.empty(count, np.int32)
+    kernels.associate_and_update(
+        landmarks.planes,
+        candidates.starts,
+        candidates.columns,
+        new_columns,
+        poses,
+        v.astype(dtype),
+        noise.astype(dtype),
+        dtype.type(settings.gate),
+        matches,
+        squared,
+        determinants,
+        created,
+    )
+    ids = landmarks.ids[matches]
+    candidate_ids = np.concatenate([landmarks.ids, new_ids[::-1]])[candidates.columns]
+    landmarks.settle(new_columns, created, seen.descriptors)
+    log_likelihood = kernels.log_likelihood(squared, determinants)
+    return FrameInfo(ids, squared, log_likelihood, new_ids, candidates, candidate_ids)
+
+
+def resample(state: State, ancestors: np.ndarray) -> None:
+    """Particle m continues as particle ancestors[m]: Algorithm 1, line 10."""
+    state.poses = state.poses[:, :, ancestors]
+    state.log_weight_sum = state.log_weight_sum[ancestors]
+    state.log_weights = np.zeros(len(ancestors))
+    state.landmarks.resample(ancestors)
+    state.history.resample(ancestors)
+
+
+def best_particle(state: State) -> int:
+    """The particle with the largest sum of log weights (17)."""
+    return int(np.argmax(state.log_weight_sum))
+
+
+def moments(state: State, robot: int) -> tuple[np.ndarray, np.ndarray]:
+    """Weighted mean (3,) and covariance (3, 3) of the pose of `robot` over the particles."""
+    weights = resampling.normalise(state.log_weights)
+    mean = state.poses[robot] @ weights
+    deviations = state.poses[robot] - mean[:, None]
+    return mean, (weights * deviations) @ deviations.T
+
+
+def warm_up(settings: FilterSettings, mount: CameraMount) -> None:
+    """Compile every kernel or load it from the cache: steps of two robots that see two points."""
+    rng = np.random.default_rng(0)
+    state = init(np.zeros((2, 3)), settings)
+    seen = ObservationSet(
+        "",
+        0,
+        np.array([[0, 0, 2], [0, 1, 2]], np.float32),
+        np.tile(np.array([1, 0, 0, 1, 0, 1], np.float32), (2, 1)),
+        np.eye(2, DESCRIPTOR_SIZE, dtype=np.float32),
+    )
+    for _ in range(3):
+        frames = [RobotFrame(robot, 0, np.array([0.1, 0, 0.1]), seen) for robot in range(2)]
+        step(state, frames, settings, mount, rng)

@@ -1,0 +1,173 @@
+"""The command `multi_robot_slam`: one function per verb."""
+
+import os
+import sys
+from datetime import datetime
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from msg_defs import cli, settings
+from msg_defs.errors import InputError
+from multi_robot_slam import evaluation, offline, plots, runs
+from multi_robot_slam.config import SECTION, Config
+
+app = typer.Typer(
+    help="Multi-robot visual SLAM: one landmark map and all robots' paths.",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode="markdown",
+)
+console = Console()
+messages = Console(stderr=True)
+
+Out = Annotated[Path | None, typer.Option(help="Folder to write; it must not exist yet.")]
+ScenarioName = Annotated[str, typer.Option(help="Scenario: a YAML file, or paper or calibrated.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of all random numbers.")]
+
+
+@app.command()
+def demo(
+    scenario: ScenarioName = "calibrated",
+    robots: Annotated[int | None, typer.Option(min=1, max=32, help="Number of robots.")] = None,
+    seed: Seed = 0,
+    speed: Annotated[float, typer.Option(min=0, help="Times real time; 0: at once.")] = 5.0,
+    out: Out = None,
+) -> None:
+    """Simulated robots, fusion and recorder as processes that talk over ROS 2; then the results.
+
+    Leaves a bag, the configuration, result.json, trajectories, the map and pictures in
+    runs/<time>, with a link runs/latest.
+    """
+    from multi_robot_slam import demo
+
+    folder = _new_folder(out)
+    text = demo.configure(settings.find_scenario(scenario), robots, seed)
+    (folder / "scenario.yaml").write_text(text)
+    demo.record(folder, folder / "scenario.yaml", seed, speed)
+    evaluate(folder)
+
+
+@app.command()
+def run(
+    bag: Annotated[Path, typer.Argument(help="Bag folder or .mcap file.")],
+    out: Out = None,
+    scenario: Annotated[
+        str | None, typer.Option(help="Scenario; default: the configuration in the bag.")
+    ] = None,
+    particles: Annotated[int | None, typer.Option(min=1, help="Number of particles M.")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Seed of the filter.")] = None,
+) -> None:
+    """Estimate paths and map from a recorded bag, as fast as the filter goes; no ROS needed."""
+    config = _configuration(bag, scenario, particles, seed)
+    folder = _new_folder(out)
+    with _progress() as progress:
+        task = progress.add_task(f"{bag}", total=None)
+        result = offline.estimate(
+            bag,
+            config,
+            warn=lambda text: messages.print(text, style="yellow", markup=False),
+            on_step=lambda step: progress.update(task, completed=step.step),
+        )
+    _finish(result, folder)
+
+
+@app.command()
+def evaluate(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a live run.")],
+) -> None:
+    """Judge a live run: DIR/bag against the ground truth in it. Prints and writes the results."""
+    bag = folder / "bag" if (folder / "bag").exists() else folder
+    _finish(runs.from_bag(bag), folder)
+
+
+@app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
+def fusion(context: typer.Context) -> None:
+    """ROS node: the team's odometry and observations in, poses and the landmark map out.
+
+    Parameters as for any node: multi_robot_slam fusion --ros-args -p scenario:=FILE
+    """
+    _start_node("fusion", context.args)
+
+
+@app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
+def record(context: typer.Context) -> None:
+    """ROS node: records all topics of the team, the simulator and the fusion into a bag.
+
+    Parameters as for any node: multi_robot_slam record --ros-args -p out:=FOLDER -p robots:=[...]
+    """
+    _start_node("recorder", context.args)
+
+
+def _start_node(module: str, args: list[str]) -> None:
+    try:
+        node = __import__(f"multi_robot_slam.{module}", fromlist=["main"])
+    except ModuleNotFoundError as error:
+        raise InputError(
+            f"no module '{error.name}': source ROS 2, or pip install 'multi_robot_slam[ros]'"
+        ) from None
+    sys.exit(node.main(args))
+
+
+def _configuration(
+    bag: Path, scenario: str | None, particles: int | None, seed: int | None
+) -> Config:
+    recorded = offline.recorded_config(bag)
+    if scenario is not None:
+        config = settings.from_file(Config, settings.find_scenario(scenario), SECTION)
+    elif recorded is None:
+        raise InputError(f"{bag} carries no configuration: name one with --scenario")
+    else:
+        config = recorded
+    values = settings.to_plain(config)
+    if scenario is not None and recorded is not None:
+        values |= {"robots": recorded.robots, "start_poses": recorded.start_poses}
+    if particles is not None:
+        values["filter"]["particles"] = particles
+    if seed is not None:
+        values["seed"] = seed
+    return settings.from_mapping(Config, values)
+
+
+def _new_folder(out: Path | None) -> Path:
+    """Make `out`, or runs/<time> with the link runs/latest."""
+    folder = out or Path("runs") / f"{datetime.now():%Y%m%d_%H%M%S}"
+    try:
+        folder.mkdir(parents=True)
+    except FileExistsError:
+        raise InputError(f"{folder} exists; remove it or choose another with --out") from None
+    except OSError as error:
+        raise InputError(f"cannot make the folder {folder}: {error.strerror}") from None
+    if out is None:
+        link = folder.parent / "latest.new"
+        link.unlink(missing_ok=True)
+        link.symlink_to(folder.name)
+        os.replace(link, folder.parent / "latest")
+    return folder
+
+
+def _finish(result: runs.Run, folder: Path) -> None:
+    for warning in result.warnings:
+        messages.print(warning, style="yellow", markup=False)
+    figures = evaluation.evaluate(result)
+    runs.write(result, figures, folder)
+    plots.save(result, folder)
+    console.print(evaluation.table(figures))
+    console.print(f"Everything is in {folder}", markup=False)
+
+
+def _progress() -> Progress:
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed} steps"))
+    return Progress(*columns, TimeElapsedColumn(), console=messages, transient=True)
+
+
+def main() -> None:
+    """Entry point of the command `multi_robot_slam`."""
+    cli.run(app)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,86 @@
+"""What every living particle's past was, kept as a tree that coalesces.
+
+All particles descend from few ancestors, so old steps need few rows. A step's record keeps one row
+per particle of that step that still has a descendant (Jacob, Murray, Rubenthaler: Path storage in
+the particle filter, 2015).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from msg_defs.types import RobotFrame
+
+PRUNE_EVERY = 32
+"""Steps between two prunings: rare enough to cost little, often enough to keep memory small."""
+
+
+@dataclass
+class Record:
+    """One robot's frame in one step; R rows, one for each particle that is still needed."""
+
+    robot: int
+    stamp_ns: int
+    step: int
+    poses: np.ndarray
+    """(3, R) float64."""
+    matches: np.ndarray
+    """(B, R) int32: id of the landmark each observation updated or created."""
+    new_ids: np.ndarray
+    """(B,) int32: id of the landmark that each observation would have created."""
+    parents: np.ndarray
+    """(R,) int32: row in the record before."""
+
+
+class History:
+    """The frames of all steps so far, in order."""
+
+    def __init__(self, particles: int):
+        self.records: list[Record] = []
+        self._leaves = np.arange(particles, dtype=np.int32)
+        self._pruned = 0
+
+    def append(
+        self, frame: RobotFrame, step: int, poses: np.ndarray, matches: np.ndarray, new_ids
+    ) -> None:
+        """Add a robot's frame: its `poses` (3, M), and as in `Record` `matches` and `new_ids`."""
+        if len(self.records) - self._pruned >= PRUNE_EVERY:
+            self._prune()
+        self.records.append(
+            Record(frame.robot, frame.stamp_ns, step, poses.copy(), matches, new_ids, self._leaves)
+        )
+        self._leaves = np.arange(len(self._leaves), dtype=np.int32)
+
+    def resample(self, ancestors: np.ndarray) -> None:
+        """Particle m continues as particle ancestors[m]."""
+        self._leaves = self._leaves[ancestors]
+
+    def lineage(self, particle: int):
+        """The past of `particle`, newest first: pairs of record and row."""
+        row = self._leaves[particle]
+        for record in reversed(self.records):
+            yield record, row
+            row = record.parents[row]
+
+    def distinct_ancestors(self) -> np.ndarray:
+        """For each record, oldest first, from how many of its rows today's particles descend."""
+        counts = np.zeros(len(self.records), int)
+        rows = np.unique(self._leaves)
+        for i in range(len(self.records) - 1, -1, -1):
+            counts[i] = len(rows)
+            rows = np.unique(self.records[i].parents[rows])
+        return counts
+
+    def _prune(self) -> None:
+        """Drop rows without descendants, from the newest record back to where nothing changes."""
+        rows, leaves = np.unique(self._leaves, return_inverse=True)
+        self._leaves = leaves.astype(np.int32)
+        for i in range(len(self.records) - 1, -1, -1):
+            record = self.records[i]
+            if len(rows) == len(record.parents) and i < self._pruned:
+                break
+            record.poses = record.poses[:, rows]
+            record.matches = record.matches[:, rows]
+            rows, parents = np.unique(record.parents[rows], return_inverse=True)
+            record.parents = parents.astype(np.int32)
+        self._pruned = len(self.records)

@@ -1,0 +1,122 @@
+"""The landmark columns all particles share, and the lazy ancestry that spares copying them.
+
+The observation that creates a landmark in at least one particle makes one column: one descriptor,
+one id, and per particle a mean and a covariance. Resampling copies nothing: a column remembers the
+generation in which its planes were last written, `rows` maps today's particles to the rows of that
+generation, and the column is gathered only when it is next observed.
+"""
+
+import numpy as np
+
+from msg_defs.types import DESCRIPTOR_SIZE
+from multi_robot_slam.filter import kernels
+
+FREE = -1
+"""Id of a column that holds no landmark."""
+
+UNLIKE = 1e3
+"""Descriptor elements of a free column: further than any threshold from every observation."""
+
+
+class Landmarks:
+    """Columns for M particles; grows as needed, reuses what no particle holds any more.
+
+    Attributes
+    ----------
+    planes : (N, 9, M) mean x y z [m] and covariance xx xy xz yy yz zz [m^2], in `map`.
+    descriptors : (N, 128) float32.
+    ids : (N,) int32, ascending in the order of creation; FREE where the column is unused.
+
+    """
+
+    def __init__(self, particles: int, dtype: type = np.float32, capacity: int = 64):
+        self.planes = np.empty((capacity, kernels.PLANES, particles), dtype)
+        self.descriptors = np.full((capacity, DESCRIPTOR_SIZE), UNLIKE, np.float32)
+        self.ids = np.full(capacity, FREE, np.int32)
+        self.top = 0
+        self._next_id = 0
+        self._partial = np.zeros(capacity, bool)
+        self._generations = np.zeros(capacity, np.int32)
+        self._rows = np.arange(particles, dtype=np.int32)[None].copy()
+        self._current = 0
+
+    def reserve(self, wanted: int) -> np.ndarray:
+        """Columns (B,) for landmarks that `wanted` observations may create; then call `settle`."""
+        free = np.flatnonzero(self.ids[: self.top] == FREE)[:wanted]
+        fresh = np.arange(self.top, self.top + wanted - len(free))
+        self.top += len(fresh)
+        while self.top > len(self.ids):
+            self._grow()
+        columns = np.concatenate([free, fresh])
+        self.ids[columns] = self._next_id + np.arange(wanted)
+        self._next_id += wanted
+        self._generations[columns] = self._current
+        return columns
+
+    def settle(self, columns: np.ndarray, created: np.ndarray, descriptors: np.ndarray) -> None:
+        """Keep the reserved columns that were `created` (B,) in some particle; free the others."""
+        self.descriptors[columns] = descriptors
+        self._partial[columns] = created < self.planes.shape[2]
+        self._release(columns[created == 0])
+
+    def bring_up_to_date(self, columns: np.ndarray) -> None:
+        """Gather the planes of `columns` (distinct) written before the last resampling."""
+        stale = columns[self._generations[columns] != self._current]
+        kernels.gather(self.planes, stale, self._rows, self._generations[stale])
+        self._generations[stale] = self._current
+
+    def resample(self, ancestors: np.ndarray) -> None:
+        """Particle m continues as particle ancestors[m] (ascending); no plane is copied."""
+        alive = self.alive()
+        used = np.unique(self._generations[alive])
+        kernels.compose(self._rows, used, ancestors)
+        self._release_unowned(alive[self._partial[alive]])
+        if self._current in used:
+            self._open_generation(used)
+
+    def alive(self) -> np.ndarray:
+        """Columns that hold a landmark in at least one particle, ascending."""
+        return np.flatnonzero(self.ids[: self.top] != FREE)
+
+    def of_particle(self, particle: int) -> tuple[np.ndarray, np.ndarray]:
+        """Columns (N,) that `particle` has and their planes (N, 9), in order of creation."""
+        columns = self.alive()
+        columns = columns[np.argsort(self.ids[columns])]
+        values = self.planes[columns, :, self._rows[self._generations[columns], particle]]
+        has = values[:, 0] < kernels.FAR / 2
+        return columns[has], values[has]
+
+    def _release_unowned(self, columns: np.ndarray) -> None:
+        owners = kernels.count_owners(self.planes, columns, self._rows, self._generations[columns])
+        self._partial[columns] = owners < self.planes.shape[2]
+        self._release(columns[owners == 0])
+
+    def _release(self, columns: np.ndarray) -> None:
+        self.ids[columns] = FREE
+        self.descriptors[columns] = UNLIKE
+        self._partial[columns] = False
+
+    def _open_generation(self, used: np.ndarray) -> None:
+        unused = np.setdiff1d(np.arange(len(self._rows)), used, assume_unique=True)
+        if len(unused) == 0:
+            unused = [len(self._rows)]
+            self._rows = _enlarged(self._rows)
+        self._current = unused[0]
+        self._rows[self._current] = np.arange(self._rows.shape[1])
+
+    def _grow(self) -> None:
+        old = len(self.ids)
+        self.planes = _enlarged(self.planes)
+        self.descriptors = _enlarged(self.descriptors)
+        self.descriptors[old:] = UNLIKE
+        self.ids = _enlarged(self.ids)
+        self.ids[old:] = FREE
+        self._partial = _enlarged(self._partial)
+        self._generations = _enlarged(self._generations)
+
+
+def _enlarged(array: np.ndarray) -> np.ndarray:
+    """`array` at the head of an array with twice the rows; the rest is not touched."""
+    larger = np.empty((2 * len(array), *array.shape[1:]), array.dtype)
+    larger[: len(array)] = array
+    return larger

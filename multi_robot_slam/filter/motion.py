@@ -1,0 +1,65 @@
+"""Odometry increments and the motion model's noise (7)."""
+
+from typing import Annotated
+
+import numpy as np
+from annotated_types import Ge
+
+from msg_defs.types import settings
+
+
+@settings
+class MotionSettings:
+    """Noise of one odometry increment: variances grow with the distance and with the turn.
+
+    So the uncertainty of a path does not depend on how many increments it is cut into.
+    """
+
+    forward_per_sqrt_m: Annotated[
+        float, Ge(0), "standard deviation along the robot after 1 m [m/sqrt(m)]"
+    ] = 0.02
+    left_per_sqrt_m: Annotated[
+        float, Ge(0), "standard deviation across the robot after 1 m [m/sqrt(m)]"
+    ] = 0.005
+    yaw_per_sqrt_m: Annotated[
+        float, Ge(0), "standard deviation of the heading after 1 m [rad/sqrt(m)]"
+    ] = 0.01
+    yaw_per_sqrt_rad: Annotated[
+        float, Ge(0), "standard deviation of the heading after turning 1 rad [rad/sqrt(rad)]"
+    ] = 0.02
+
+
+def increment(previous: np.ndarray, current: np.ndarray) -> np.ndarray:
+    """Motion u between two poses of one frame, seen from the first.
+
+    Both poses are (3,): x, y [m], yaw [rad]. Returns (3,): dx, dy [m], dyaw [rad] in (-pi, pi].
+    """
+    dx, dy, dyaw = current - previous
+    cos, sin = np.cos(previous[2]), np.sin(previous[2])
+    return np.array([cos * dx + sin * dy, cos * dy - sin * dx, wrap(dyaw)])
+
+
+def standard_deviations(motion: np.ndarray, noise: MotionSettings) -> np.ndarray:
+    """Standard deviations (3,) of `motion` (3,), in its own units."""
+    root = np.sqrt(np.hypot(motion[0], motion[1]))
+    turn = np.sqrt(abs(motion[2]))
+    return np.array(
+        [
+            noise.forward_per_sqrt_m * root,
+            noise.left_per_sqrt_m * root,
+            np.hypot(noise.yaw_per_sqrt_m * root, noise.yaw_per_sqrt_rad * turn),
+        ]
+    )
+
+
+def move(poses: np.ndarray, motions: np.ndarray) -> None:
+    """Compose `poses` (3, M) with `motions` (3, M), in place: x_t = x_{t-1} (+) u_t."""
+    cos, sin = np.cos(poses[2]), np.sin(poses[2])
+    poses[0] += cos * motions[0] - sin * motions[1]
+    poses[1] += sin * motions[0] + cos * motions[1]
+    poses[2] += motions[2]
+
+
+def wrap(angle: float | np.ndarray) -> float | np.ndarray:
+    """The same angle in [-pi, pi) [rad]."""
+    return (angle + np.pi) % (2 * np.pi) - np.pi

@@ -1,0 +1,55 @@
+"""The observation model g: from the camera to the robot, from the robot to the map (8), (9).
+
+The camera is fixed on a robot that moves in a plane, so
+
+    v_hat = g(x, l) = C^T (Rz(yaw)^T (l - p) - c)
+
+is a rotation and a shift of the landmark, and its Jacobian (9) the orthogonal G = C^T Rz(yaw)^T. D (18), |Z| (16) and the update (10)-(13) do not change under a rotation of the
+measurement, so everything is computed with the measurement turned into the map frame, where the
+Jacobian is the identity: innovation G^T (v - v_hat) = g^-1(x, v) - mu, and noise G^T R G.
+"""
+
+import numpy as np
+
+from msg_defs.types import CameraMount
+
+CAMERA_TO_BODY = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+"""C: camera axes X right, Y up, Z forward -> body axes x forward, y left, z up."""
+
+
+def to_body(
+    positions: np.ndarray, covariances: np.ndarray, mount: CameraMount
+) -> tuple[np.ndarray, np.ndarray]:
+    """Turn observations from the camera frame into `base_link`.
+
+    Parameters
+    ----------
+    positions : (B, 3), metres; covariances : (B, 6), m^2, `xx xy xz yy yz zz`.
+
+    Returns
+    -------
+    The same two arrays in `base_link`, float64.
+
+    """
+    offset = np.array([mount.forward_m, mount.left_m, mount.up_m])
+    full = CAMERA_TO_BODY @ unpack(covariances) @ CAMERA_TO_BODY.T
+    return positions @ CAMERA_TO_BODY.T + offset, pack(full)
+
+
+def to_map(pose: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """g^-1: points (B, 3) of `base_link` seen from `pose` (3,) -> (B, 3) in `map` [m]."""
+    cos, sin = np.cos(pose[2]), np.sin(pose[2])
+    rotation = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    return positions @ rotation.T + [pose[0], pose[1], 0.0]
+
+
+def unpack(covariances: np.ndarray) -> np.ndarray:
+    """(..., 6) `xx xy xz yy yz zz` -> (..., 3, 3) symmetric, float64."""
+    return np.asarray(covariances, float)[..., [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(
+        *np.shape(covariances)[:-1], 3, 3
+    )
+
+
+def pack(matrices: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) symmetric -> (..., 6) `xx xy xz yy yz zz`."""
+    return matrices.reshape(*matrices.shape[:-2], 9)[..., [0, 1, 2, 4, 5, 8]]

@@ -1,0 +1,74 @@
+"""Bag in, estimates out, as fast as the filter goes; no ROS."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from msg_defs import settings, topics, wire
+from msg_defs.errors import InputError
+from msg_defs.types import Event, StepRecord
+from multi_robot_slam import runs
+from multi_robot_slam.bags import BagReader, absolute
+from multi_robot_slam.config import SECTION, Config
+from multi_robot_slam.pipeline import Pipeline
+
+
+def events(bag: Path, robots: tuple[str, ...]) -> Iterator[Event]:
+    """Odometry and observations of `robots` in the order they were recorded.
+
+    `InputError` when the bag has none, or holds a message that is not what its topic says.
+    """
+    decoders = {}
+    for robot in robots:
+        decoders[absolute(topics.odometry(robot).name)] = (robot, wire.decode_pose)
+        decoders[absolute(topics.observations(robot).name)] = (robot, wire.decode_observations)
+    found = set()
+    for record in BagReader(bag):
+        if record.topic in decoders:
+            robot, decode = decoders[record.topic]
+            found.add(record.topic)
+            yield decode(record.data, robot)
+    if len(found) < 2:
+        raise InputError(
+            f"{bag} has nothing to estimate from: expected {', '.join(decoders)}; "
+            "record these topics, or name the robots in the configuration"
+        )
+
+
+def recorded_config(bag: Path) -> Config | None:
+    """The configuration the fusion published while the bag was recorded, if there was one."""
+    name = absolute(topics.FUSION_CONFIG.name)
+    for record in BagReader(bag):
+        if record.topic == name:
+            return settings.from_yaml(Config, wire.decode_text(record.data), SECTION, str(bag))
+    return None
+
+
+def estimate(
+    bag: Path,
+    config: Config,
+    warn: Callable[[str], None],
+    on_step: Callable[[StepRecord], None] = lambda step: None,
+) -> runs.Run:
+    """Run the filter over the bag.
+
+    Parameters
+    ----------
+    warn : called with a line for each message that is dropped.
+    on_step : called with each step as it is done.
+    """
+    pipeline = Pipeline(config, warn)
+    steps = []
+    for event in events(bag, config.robots):
+        done = pipeline.handle(event)
+        for step in done:
+            on_step(step)
+        steps += done
+    steps += pipeline.finish()
+    return runs.assemble(
+        config,
+        runs.recorded(bag, config.robots),
+        steps,
+        pipeline.trajectories(),
+        pipeline.landmark_map(),
+        pipeline.dropped,
+    )

@@ -1,0 +1,264 @@
+"""The one door to the filter: events in, steps out.
+
+The simulator in process, live topics and recorded bags all end in `Pipeline.handle`. Frames are
+filtered in the order of (stamp, robot), not of arrival: a frame waits until every active robot has
+sent one at least as new, or until the newest is `reorder_window_s` ahead. Time is message time
+throughout, so a recorded run gives the live run's estimates. Frames of one stamp make one step.
+"""
+
+import time
+from collections import Counter, deque
+from collections.abc import Callable
+
+import numpy as np
+
+from msg_defs.types import (
+    Estimate,
+    Event,
+    FrameRecord,
+    LandmarkMap,
+    ObservationSet,
+    PoseSample,
+    RobotFrame,
+    StepRecord,
+    Trajectory,
+)
+from multi_robot_slam.config import Config
+from multi_robot_slam.filter import rbpf
+from multi_robot_slam.filter.motion import increment, wrap
+
+LATE_REMEDY = "raise reorder_window_s, or synchronise the robots' clocks"
+NO_ODOMETRY = "frame without odometry"
+
+
+class Pipeline:
+    """Orders and pairs what the robots send, steps the filter, and tells what it knows.
+
+    Parameters
+    ----------
+    config : the whole configuration.
+    warn : called with one line for each event that is dropped.
+
+    """
+
+    def __init__(self, config: Config, warn: Callable[[str], None] = lambda text: None):
+        self.config = config
+        self.dropped: Counter[str] = Counter()
+        self._warn = warn
+        self._rng = np.random.default_rng(config.seed)
+        self._state = rbpf.init(np.array(config.start_poses), config.filter)
+        self._robots = [_Robot(index, name) for index, name in enumerate(config.robots)]
+        self._by_name = {robot.name: robot for robot in self._robots}
+        self._first_ns: int | None = None
+        self._filtered_ns = -1
+
+    def warm_up(self) -> None:
+        """Compile the filter's kernels, or load them from the cache."""
+        rbpf.warm_up(self.config.filter, self.config.mount)
+
+    @property
+    def pending(self) -> int:
+        """Frames held back."""
+        return sum(len(robot.waiting) for robot in self._robots)
+
+    def handle(self, event: Event) -> list[StepRecord]:
+        """Take one event; the steps that became possible are done and returned, oldest first."""
+        robot = self._by_name.get(event.robot)
+        if robot is None:
+            return self._drop("unknown robot", event, f"the team is {', '.join(self._by_name)}")
+        if self._first_ns is None:
+            self._first_ns = event.stamp_ns
+        if isinstance(event, PoseSample):
+            if not robot.add_odometry(event):
+                return self._drop("odometry out of order", event, "stamps must ascend")
+        elif event.stamp_ns == robot.newest_ns:
+            return self._drop("duplicate frame", event, "send each stamp once")
+        elif event.stamp_ns <= max(robot.newest_ns, self._filtered_ns):
+            robot.newest_ns = max(robot.newest_ns, event.stamp_ns)
+            return self._drop("late frame", event, LATE_REMEDY)
+        else:
+            robot.newest_ns = event.stamp_ns
+            robot.waiting.append(event)
+        return self._release(self._complete_until())
+
+    def finish(self) -> list[StepRecord]:
+        """Filter what is still held back; frames whose odometry never came are dropped."""
+        steps = self._release(self._newest_ns())
+        for robot in self._robots:
+            while robot.waiting:
+                self._drop(NO_ODOMETRY, robot.waiting.popleft(), "send odometry with every frame")
+        return steps
+
+    def landmark_map(self) -> LandmarkMap:
+        """The best particle's map (17)."""
+        state, landmarks = self._state, self._state.landmarks
+        best = rbpf.best_particle(state)
+        columns, values = landmarks.of_particle(best)
+        ids = landmarks.ids[columns]
+        observations = np.zeros(ids.max(initial=-1) + 1, np.uint32)
+        robots = np.zeros_like(observations)
+        for record, row in state.history.lineage(best):
+            np.add.at(observations, record.matches[:, row], 1)
+            np.bitwise_or.at(robots, record.matches[:, row], np.uint32(1 << record.robot))
+        return LandmarkMap(
+            ids=ids.astype(np.uint32),
+            positions=values[:, :3].astype(np.float32),
+            covariances=values[:, 3:].astype(np.float32),
+            observations=observations[ids],
+            robots=robots[ids],
+            descriptors=landmarks.descriptors[columns],
+        )
+
+    def trajectories(self) -> dict[str, Trajectory]:
+        """The best particle's path of every robot that has moved or seen something."""
+        stamps = [[] for _ in self._robots]
+        poses = [[] for _ in self._robots]
+        for record, row in self._state.history.lineage(rbpf.best_particle(self._state)):
+            stamps[record.robot].append(record.stamp_ns)
+            poses[record.robot].append(record.poses[:, row])
+        return {
+            robot.name: Trajectory(np.array(t[::-1], np.int64), _wrapped(np.array(p[::-1])))
+            for robot, t, p in zip(self._robots, stamps, poses, strict=True)
+            if t
+        }
+
+    def particles(self, robot: str) -> np.ndarray:
+        """(M, 3): the pose x, y [m], yaw [rad] of `robot` in every particle."""
+        return _wrapped(self._state.poses[self._by_name[robot].index].T)
+
+    def odometry_pose(self, robot: str) -> np.ndarray:
+        """(3,): the odometry of `robot` at its last filtered frame, in its `odom` frame."""
+        return self._by_name[robot].used_pose
+
+    def _newest_ns(self) -> int:
+        return max(robot.newest_ns for robot in self._robots)
+
+    def _complete_until(self) -> int:
+        """Newest stamp up to which no active robot can still send a frame [ns]."""
+        horizon = self._newest_ns() - int(self.config.reorder_window_s * 1e9)
+        for robot in self._robots:
+            while robot.is_stuck(horizon):
+                self._drop(NO_ODOMETRY, robot.waiting.popleft(), "send odometry with every frame")
+        last_signs = (max(robot.ready_ns, self._first_ns - 1) for robot in self._robots)
+        return min((stamp for stamp in last_signs if stamp >= horizon), default=horizon)
+
+    def _release(self, until_ns: int) -> list[StepRecord]:
+        """Step through the waiting frames up to `until_ns`, frames of one stamp together."""
+        steps = []
+        while True:
+            ready = [r for r in self._robots if r.waiting and r.waiting[0].stamp_ns <= r.ready_ns]
+            stamp = min((r.waiting[0].stamp_ns for r in ready), default=until_ns + 1)
+            if stamp > until_ns:
+                return steps
+            together = [r for r in ready if r.waiting[0].stamp_ns == stamp]
+            if stamp <= self._filtered_ns:
+                for robot in together:
+                    self._drop("late frame", robot.waiting.popleft(), LATE_REMEDY)
+            else:
+                steps.append(self._step(stamp, [robot.next_frame() for robot in together]))
+
+    def _step(self, stamp_ns: int, frames: list[RobotFrame]) -> StepRecord:
+        start = time.perf_counter()
+        config = self.config
+        info = rbpf.step(self._state, frames, config.filter, config.mount, self._rng)
+        self._filtered_ns = stamp_ns
+        best = rbpf.best_particle(self._state)
+        before = best if info.ancestors is None else info.ancestors[best]
+        return StepRecord(
+            stamp_ns=stamp_ns,
+            step=self._state.steps,
+            frames=tuple(
+                _frame_record(frame, seen, before)
+                for frame, seen in zip(frames, info.frames, strict=True)
+            ),
+            estimates=tuple(self._estimate(frame, best) for frame in frames),
+            effective_particles=info.effective_particles,
+            resampled=info.ancestors is not None,
+            duration_ms=(time.perf_counter() - start) * 1e3,
+        )
+
+    def _estimate(self, frame: RobotFrame, best: int) -> Estimate:
+        _, covariance = rbpf.moments(self._state, frame.robot)
+        return Estimate(
+            robot=frame.observations.robot,
+            stamp_ns=frame.stamp_ns,
+            pose=_wrapped(self._state.poses[frame.robot, :, best]),
+            covariance=covariance,
+        )
+
+    def _drop(self, reason: str, event: Event, remedy: str) -> list[StepRecord]:
+        self.dropped[reason] += 1
+        self._warn(f"dropped {event.robot} at {event.stamp_ns / 1e9:.3f} s: {reason}; {remedy}")
+        return []
+
+
+class _Robot:
+    """What one robot has sent and the filter has not used yet."""
+
+    def __init__(self, index: int, name: str):
+        self.index = index
+        self.name = name
+        self.waiting: deque[ObservationSet] = deque()
+        self.newest_ns = -1
+        self.used_pose = np.zeros(3)
+        self._odometry: deque[PoseSample] = deque()
+        self._has_moved = False
+
+    @property
+    def ready_ns(self) -> int:
+        """Stamp of the newest frame whose odometry has arrived too, -1 when there is none [ns]."""
+        if not self._odometry:
+            return -1
+        return min(self.newest_ns, self._odometry[-1].stamp_ns)
+
+    def is_stuck(self, horizon_ns: int) -> bool:
+        """The oldest waiting frame is older than `horizon_ns` and its odometry has not come."""
+        return bool(self.waiting) and self.ready_ns < self.waiting[0].stamp_ns < horizon_ns
+
+    def add_odometry(self, sample: PoseSample) -> bool:
+        """Keep `sample`; False when it is not newer than the last."""
+        if self._odometry and sample.stamp_ns <= self._odometry[-1].stamp_ns:
+            return False
+        self._odometry.append(sample)
+        return True
+
+    def next_frame(self) -> RobotFrame:
+        """The oldest waiting observations with the motion since the frame before."""
+        observations = self.waiting.popleft()
+        pose = self._odometry_at(observations.stamp_ns)
+        motion = increment(self.used_pose, pose) if self._has_moved else np.zeros(3)
+        self.used_pose, self._has_moved = pose, True
+        return RobotFrame(self.index, observations.stamp_ns, motion, observations)
+
+    def _odometry_at(self, stamp_ns: int) -> np.ndarray:
+        """Odometry interpolated at `stamp_ns`; before the first sample, the first."""
+        samples = self._odometry
+        while len(samples) > 1 and samples[1].stamp_ns <= stamp_ns:
+            samples.popleft()
+        first = samples[0]
+        if len(samples) == 1 or first.stamp_ns >= stamp_ns:
+            return first.pose
+        share = (stamp_ns - first.stamp_ns) / (samples[1].stamp_ns - first.stamp_ns)
+        difference = samples[1].pose - first.pose
+        difference[2] = wrap(difference[2])
+        return first.pose + share * difference
+
+
+def _frame_record(frame: RobotFrame, info: rbpf.FrameInfo, particle: int) -> FrameRecord:
+    matches = info.matches[:, particle]
+    is_new = matches == info.new_ids
+    return FrameRecord(
+        robot=frame.observations.robot,
+        landmarks=matches.astype(np.int64),
+        is_new=is_new,
+        is_rejected=is_new & (np.diff(info.candidates.starts) > 0),
+        mahalanobis=np.where(is_new, np.nan, info.squared[:, particle]).astype(np.float32),
+        descriptor_distance=np.where(is_new, np.nan, info.descriptor_distances(matches)),
+    )
+
+
+def _wrapped(poses: np.ndarray) -> np.ndarray:
+    """Poses (..., 3) with the yaw in [-pi, pi)."""
+    result = np.array(poses, float)
+    result[..., 2] = wrap(result[..., 2])
+    return result

@@ -1,0 +1,96 @@
+"""ROS: records what the team sends and what the fusion makes of it, byte for byte, into a bag."""
+
+import sys
+import time
+from collections import Counter
+from datetime import datetime
+from functools import partial
+from typing import Annotated
+
+from annotated_types import Len
+
+from msg_defs import node, topics
+from msg_defs.types import settings
+from multi_robot_slam.bags import FLUSH_PERIOD_S, BagWriter
+
+
+@settings
+class Recording:
+    """What to record, and where."""
+
+    out: Annotated[str, "bag folder to write, which must not exist; empty is recording_<time>"] = ""
+    robots: Annotated[tuple[str, ...], Len(1), "names of the robots to record"] = ("robot_1",)
+
+
+def recorded(robots: tuple[str, ...]) -> list[topics.Topic]:
+    """Every topic of the team `robots`, its simulator and its fusion."""
+    of_each = (
+        topics.odometry,
+        topics.observations,
+        topics.ground_truth,
+        topics.observation_truth,
+        topics.pose,
+        topics.path,
+        topics.particles,
+    )
+    return [
+        topics.GROUND_TRUTH_LANDMARKS,
+        topics.GROUND_TRUTH_WALLS,
+        topics.WORLD_CONFIG,
+        topics.FUSION_CONFIG,
+        topics.MAP_LANDMARKS,
+        topics.MAP_MARKERS,
+        topics.STEPS,
+        topics.DIAGNOSTICS,
+        topics.TF,
+        *(topic(robot) for robot in robots for topic in of_each),
+    ]
+
+
+class Recorder(node.EdgeNode):
+    """Writes each message with the time it was received."""
+
+    def __init__(self) -> None:
+        super().__init__("recorder")
+        (recording,) = node.declare(self, Recording)
+        self._folder = recording.out or f"recording_{datetime.now():%Y%m%d_%H%M%S}"
+        self._bag = BagWriter(self._folder)
+        self._counts: Counter[str] = Counter()
+        for topic in filter(node.is_available, recorded(recording.robots)):
+            resolved = topic._replace(name=self.resolve_topic_name(topic.name))
+            node.subscribe(self, topic, partial(self._record, resolved))
+        self.create_timer(FLUSH_PERIOD_S, partial(self._guarded, self._bag.flush))
+        self.get_logger().info(f"recording {', '.join(recording.robots)} into {self._folder}")
+
+    def close(self) -> None:
+        """Complete the bag and tell what is in it."""
+        self._guarded(self._bag.close)
+        for topic, count in sorted(self._counts.items()):
+            self.get_logger().info(f"{count:7d} {topic}")
+        self.get_logger().info(f"{self._counts.total()} messages in {self._folder}")
+
+    def _record(self, topic: topics.Topic, data: bytes) -> None:
+        self._guarded(partial(self._bag.write, topic, time.time_ns(), data))
+        self._counts[topic.name] += 1
+
+    def _guarded(self, write: partial) -> None:
+        """Stop recording, with one message, when the disk fails."""
+        if self.exit_code:
+            return
+        try:
+            write()
+        except OSError as error:
+            self.get_logger().error(
+                f"cannot write {self._folder}: {error.strerror}; the recording ends here"
+            )
+            self.exit_code = 1
+            self.done = True
+
+
+def main(args: list[str] | None = None) -> int:
+    """Record until interrupted; the exit code."""
+    return node.spin(Recorder, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

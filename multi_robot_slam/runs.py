@@ -1,0 +1,289 @@
+"""What one run left behind, wherever it came from: a recorded bag or a pipeline in this process."""
+
+import csv
+import json
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from msg_defs import settings, topics, wire
+from msg_defs.errors import InputError
+from msg_defs.topics import Topic
+from msg_defs.types import (
+    COVARIANCE_ORDER,
+    Estimate,
+    LandmarkMap,
+    PoseSample,
+    StepRecord,
+    Trajectory,
+    Walls,
+)
+from multi_robot_slam.bags import BagReader, absolute
+from multi_robot_slam.config import SECTION, Config
+
+DROPPED = "dropped: "
+"""Prefix of the keys under which the fusion's diagnostics count what was dropped, by reason."""
+
+
+@dataclass(frozen=True, eq=False)
+class RobotRun:
+    """One robot's trajectories; one the run does not have is empty, unknown truth is None."""
+
+    start_pose: np.ndarray
+    """(3,) float64: configured x [m], y [m], yaw [rad] at the first filtered frame, in `map`."""
+    odometry: Trajectory
+    """As recorded, in the robot's own `odom` frame."""
+    online: Trajectory
+    """Poses as published at each step, in `map`."""
+    path: Trajectory
+    """The best particle's whole path at the end, in `map`."""
+    truth: Trajectory | None = None
+    """True poses, in `map`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """Everything the evaluation and the figures of one run need."""
+
+    config: Config
+    robots: dict[str, RobotRun]
+    """In the team's order."""
+    landmarks: LandmarkMap
+    """The best particle's map at the end."""
+    steps: list[StepRecord]
+    dropped: dict[str, int] = field(default_factory=dict)
+    """How many messages the pipeline refused, by reason."""
+    true_landmarks: LandmarkMap | None = None
+    walls: Walls | None = None
+    observation_truth: dict[tuple[str, int], np.ndarray] = field(default_factory=dict)
+    """(robot, stamp_ns) -> (B,) uint32: row in `true_landmarks` of each observation."""
+    warnings: tuple[str, ...] = ()
+    """What was missing or broken in the bag without making the rest useless."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """What a recording holds apart from estimates: odometry, and the truth where there is any."""
+
+    odometry: dict[str, Trajectory]
+    """Of each robot, in its own `odom` frame."""
+    truth: dict[str, Trajectory] = field(default_factory=dict)
+    true_landmarks: LandmarkMap | None = None
+    walls: Walls | None = None
+    observation_truth: dict[tuple[str, int], np.ndarray] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+
+def from_bag(path: Path) -> Run:
+    """The live run in the bag at `path`, with its estimates as they were published."""
+    config = _config(path)
+    wanted = [topics.STEPS, topics.MAP_LANDMARKS, topics.DIAGNOSTICS, *_inputs(config.robots)]
+    for robot in config.robots:
+        wanted += [topics.pose(robot), topics.path(robot)]
+    messages, warnings = _read(path, wanted)
+    paths = {robot: messages[topics.path(robot)] for robot in config.robots}
+    missing = [topic for topic in (topics.STEPS, topics.MAP_LANDMARKS) if not messages[topic]]
+    if not any(paths.values()):
+        missing += map(topics.path, config.robots)
+    if missing:
+        raise _no_estimates(path, missing)
+    return assemble(
+        config,
+        _recorded(messages, config.robots, warnings),
+        steps=_steps(messages, config.robots),
+        paths={robot: wire.decode_path(m[-1], robot) for robot, m in paths.items() if m},
+        landmarks=wire.decode_map(messages[topics.MAP_LANDMARKS][-1]),
+        dropped=_dropped(messages[topics.DIAGNOSTICS]),
+    )
+
+
+def recorded(path: Path, robots: Iterable[str]) -> Recorded:
+    """Odometry and truth of `robots` in the bag at `path`, which need not hold estimates."""
+    robots = tuple(robots)
+    messages, warnings = _read(path, _inputs(robots))
+    return _recorded(messages, robots, warnings)
+
+
+def assemble(
+    config: Config,
+    recording: Recorded,
+    steps: list[StepRecord],
+    paths: dict[str, Trajectory],
+    landmarks: LandmarkMap,
+    dropped: Mapping[str, int],
+) -> Run:
+    """Join a recording with what the filter made of it: `paths` and `landmarks` at the end."""
+    none = trajectory(())
+    robots = {
+        name: RobotRun(
+            start_pose=np.array(start),
+            odometry=recording.odometry.get(name, none),
+            online=trajectory(e for step in steps for e in step.estimates if e.robot == name),
+            path=paths.get(name, none),
+            truth=recording.truth.get(name),
+        )
+        for name, start in zip(config.robots, config.start_poses, strict=True)
+    }
+    return Run(
+        config,
+        robots,
+        landmarks,
+        steps,
+        dict(dropped),
+        recording.true_landmarks,
+        recording.walls,
+        recording.observation_truth,
+        recording.warnings,
+    )
+
+
+def trajectory(samples: Iterable[PoseSample | Estimate]) -> Trajectory:
+    """One robot's samples by stamp; of several with the same stamp the first counts."""
+    samples = list(samples)
+    stamps, first = np.unique([s.stamp_ns for s in samples], return_index=True)
+    poses = np.array([samples[row].pose for row in first], float).reshape(-1, 3)
+    return Trajectory(stamps.astype(np.int64), poses)
+
+
+def write(run: Run, figures: dict, folder: Path) -> None:
+    """Write a run and its figures of merit (`evaluation.evaluate`) into `folder`.
+
+    `result.json`; `trajectory_<robot>.tum`, the best particle's path in `map`; `map.csv`;
+    `config.yaml`, the full configuration.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "result.json").write_text(json.dumps(figures, indent=2, allow_nan=False) + "\n")
+    (folder / "config.yaml").write_text(settings.to_yaml(**{SECTION: run.config}))
+    _write_map(run.landmarks, folder / "map.csv")
+    for name, robot in run.robots.items():
+        (folder / f"trajectory_{name}.tum").write_text(to_tum(robot.path))
+
+
+def to_tum(path: Trajectory) -> str:
+    """One line a pose: `stamp x y z qx qy qz qw`, stamp in seconds with 9 decimals, z = 0 [m]."""
+    lines = (_tum_line(*row) for row in zip(path.stamps_ns.tolist(), path.poses, strict=True))
+    return "".join(lines)
+
+
+def _tum_line(stamp_ns: int, pose: np.ndarray) -> str:
+    seconds, nanoseconds = divmod(stamp_ns, 10**9)
+    x, y, yaw = pose
+    qz, qw = np.sin(yaw / 2), np.cos(yaw / 2)
+    return f"{seconds}.{nanoseconds:09d} {x:.9f} {y:.9f} 0 0 0 {qz:.9f} {qw:.9f}\n"
+
+
+def _write_map(landmarks: LandmarkMap, path: Path) -> None:
+    header = [
+        "id",
+        "x",
+        "y",
+        "z",
+        *(f"cov_{e}" for e in COVARIANCE_ORDER),
+        "observations",
+        "robots",
+    ]
+    rows = zip(
+        landmarks.ids,
+        landmarks.positions,
+        landmarks.covariances,
+        landmarks.observations,
+        landmarks.robots,
+        strict=True,
+    )
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(header)
+        for landmark, place, elements, observations, robots in rows:
+            writer.writerow([landmark, *place, *elements, observations, robots])
+
+
+def _inputs(robots: Iterable[str]) -> list[Topic]:
+    kinds = (topics.odometry, topics.ground_truth, topics.observation_truth)
+    own = [kind(robot) for robot in robots for kind in kinds]
+    return [topics.GROUND_TRUTH_LANDMARKS, topics.GROUND_TRUTH_WALLS, *own]
+
+
+def _read(path: Path, wanted: Iterable[Topic]) -> tuple[dict[Topic, list[bytes]], tuple[str, ...]]:
+    """The messages of each wanted topic, by time, and the reader's warnings."""
+    reader = BagReader(path)
+    by_name = {absolute(topic.name): topic for topic in wanted}
+    messages: dict[Topic, list[bytes]] = {topic: [] for topic in by_name.values()}
+    for record in reader:
+        if record.topic in by_name:
+            messages[by_name[record.topic]].append(record.data)
+    return messages, tuple(reader.warnings)
+
+
+def _config(path: Path) -> Config:
+    name = absolute(topics.FUSION_CONFIG.name)
+    data = next((record.data for record in BagReader(path) if record.topic == name), None)
+    if data is None:
+        raise _no_estimates(path, [topics.FUSION_CONFIG])
+    return settings.from_yaml(Config, wire.decode_text(data), SECTION, f"{path}: {name}")
+
+
+def _no_estimates(path: Path, missing: list[Topic]) -> InputError:
+    names = ", ".join(absolute(topic.name) for topic in missing)
+    return InputError(
+        f"{path} holds no estimates: {names} not in it; record the fusion's topics too, or "
+        f"estimate from the recording with `multi_robot_slam run {path}`"
+    )
+
+
+def _recorded(
+    messages: dict[Topic, list[bytes]], robots: Iterable[str], warnings: tuple[str, ...]
+) -> Recorded:
+    def poses(kind: Callable[[str], Topic]) -> dict[str, Trajectory]:
+        found = {robot: messages[kind(robot)] for robot in robots}
+        return {
+            robot: trajectory(wire.decode_pose(data, robot) for data in stream)
+            for robot, stream in found.items()
+            if stream
+        }
+
+    true_maps = messages[topics.GROUND_TRUTH_LANDMARKS]
+    walls = messages[topics.GROUND_TRUTH_WALLS]
+    seen = [
+        wire.decode_observation_truth(data, robot)
+        for robot in robots
+        for data in messages[topics.observation_truth(robot)]
+    ]
+    return Recorded(
+        odometry=poses(topics.odometry),
+        truth=poses(topics.ground_truth),
+        true_landmarks=wire.decode_map(true_maps[-1]) if true_maps else None,
+        walls=wire.decode_walls(walls[-1]) if walls else None,
+        observation_truth={(truth.robot, truth.stamp_ns): truth.landmarks for truth in seen},
+        warnings=warnings,
+    )
+
+
+def _steps(messages: dict[Topic, list[bytes]], robots: Iterable[str]) -> list[StepRecord]:
+    """The steps, with the estimates that were published on each robot's `pose`."""
+    published = {
+        (robot, estimate.stamp_ns): estimate
+        for robot in robots
+        for estimate in (wire.decode_estimate(d, robot) for d in messages[topics.pose(robot)])
+    }
+    steps = []
+    for step in map(wire.decode_step, messages[topics.STEPS]):
+        keys = [(frame.robot, step.stamp_ns) for frame in step.frames]
+        estimates = tuple(published[key] for key in keys if key in published)
+        steps.append(replace(step, estimates=estimates))
+    return steps
+
+
+def _dropped(messages: list[bytes]) -> dict[str, int]:
+    """Counts in the fusion's last diagnostics: `dropped: <reason>` of the status `fusion`."""
+    for data in reversed(messages):
+        for status in wire.decode_diagnostics(data)[1]:
+            if status.name == "fusion":
+                return {
+                    key.removeprefix(DROPPED): int(count)
+                    for key, count in status.values.items()
+                    if key.startswith(DROPPED)
+                }
+    return {}

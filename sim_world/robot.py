@@ -1,0 +1,139 @@
+"""One robot: it drives its true path, and reports noisy odometry and noisy observations."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from msg_defs.types import ObservationSet, ObservationTruth, PoseSample
+from sim_world import stereo
+from sim_world.planar import between, compose
+from sim_world.scenario import OdometryNoise, Scenario
+from sim_world.world import World
+
+START_NS = 1_000_000_000
+"""Stamp of the first step."""
+MIN_DEPTH_M = 0.1
+"""An observation measured nearer than this is discarded."""
+
+
+@dataclass(frozen=True, eq=False)
+class RobotStep:
+    """All that one robot reports at one instant, and the truth about it."""
+
+    odometry: PoseSample
+    observations: ObservationSet
+    truth: PoseSample
+    observation_truth: ObservationTruth
+
+
+def stamps_ns(count: int, period_s: float) -> np.ndarray:
+    """(count,) int64 stamps of the steps."""
+    return START_NS + round(period_s * 1e9) * np.arange(count, dtype=np.int64)
+
+
+def steps(
+    name: str, path: np.ndarray, world: World, scenario: Scenario, seed: np.random.SeedSequence
+) -> Iterator[RobotStep]:
+    """Drive along `path` (T, 3); the first step is the start, before any movement.
+
+    Odometry and camera have random streams of their own: observing more or less leaves the
+    odometry as it is.
+    """
+    wheels, camera = (np.random.default_rng(s) for s in seed.spawn(2))
+    stamps = stamps_ns(len(path), scenario.period_s).tolist()
+    odometry = odometry_samples(name, path, stamps, scenario, wheels)
+    truth = true_samples(name, path, stamps, scenario.period_s)
+    for moved, true in zip(odometry, truth, strict=True):
+        observations, landmarks = observe(true, world, scenario, camera)
+        yield RobotStep(moved, observations, true, landmarks)
+
+
+def movement_variances(movement: np.ndarray, noise: OdometryNoise) -> np.ndarray:
+    """(3,) variances of dx, dy [m^2] and dyaw [rad^2] that odometry adds to a movement."""
+    distance_m, turn_rad = np.hypot(movement[0], movement[1]), abs(movement[2])
+    return np.array(
+        [
+            noise.forward_per_sqrt_m**2 * distance_m,
+            noise.left_per_sqrt_m**2 * distance_m,
+            noise.yaw_per_sqrt_m**2 * distance_m + noise.yaw_per_sqrt_rad**2 * turn_rad,
+        ]
+    )
+
+
+def propagate(
+    covariance: np.ndarray, pose: np.ndarray, movement: np.ndarray, variances: np.ndarray
+) -> np.ndarray:
+    """(3, 3) covariance, to first order, of `pose` composed with a movement with `variances`."""
+    dx, dy, _ = movement
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    by_pose = np.array([[1, 0, -s * dx - c * dy], [0, 1, c * dx - s * dy], [0, 0, 1]])
+    by_movement = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    return by_pose @ covariance @ by_pose.T + by_movement * variances @ by_movement.T
+
+
+def odometry_samples(
+    name: str, path: np.ndarray, stamps: list[int], scenario: Scenario, rng: np.random.Generator
+) -> Iterator[PoseSample]:
+    """Integrate noisy movements in the robot's `odom` frame, from the origin on.
+
+    The covariance is the robot's own: it knows the noise model, but only measured movements.
+    """
+    pose, covariance = np.zeros(3), np.zeros((3, 3))
+    yield PoseSample(name, stamps[0], pose)
+    for before, after, stamp in zip(path[:-1], path[1:], stamps[1:], strict=True):
+        true = between(before, after)
+        sigma = np.sqrt(movement_variances(true, scenario.odometry))
+        measured = true + sigma * rng.standard_normal(3)
+        variances = movement_variances(measured, scenario.odometry)
+        covariance = propagate(covariance, pose, measured, variances)
+        pose = compose(pose, measured)
+        yield PoseSample(name, stamp, pose, measured[[0, 2]] / scenario.period_s, covariance)
+
+
+def true_samples(
+    name: str, path: np.ndarray, stamps: list[int], period_s: float
+) -> Iterator[PoseSample]:
+    """The true poses in `map`, with the velocity of the movement that led to each."""
+    yield PoseSample(name, stamps[0], path[0])
+    for before, after, stamp in zip(path[:-1], path[1:], stamps[1:], strict=True):
+        yield PoseSample(name, stamp, after, between(before, after)[[0, 2]] / period_s)
+
+
+def observe(
+    true: PoseSample, world: World, scenario: Scenario, rng: np.random.Generator
+) -> tuple[ObservationSet, ObservationTruth]:
+    """What the stereo camera measures at the true pose.
+
+    Of more than B visible landmarks a random choice is measured, new in each frame. The noise
+    is N(0, R) with R (15) at the true pixels; the published R is (15) at the measured point, as
+    the robot knows no other. A descriptor gets noise in each element and is not normalised again.
+    """
+    camera, landmarks = scenario.camera, world.landmarks
+    rows = rng.permutation(world.visible(true.pose, camera, scenario.d_max_m))
+    rows = rows[: scenario.observations]
+    points = stereo.camera_from_map(
+        landmarks.positions[rows].astype(float), true.pose, camera.mount
+    )
+    sigma = np.sqrt(stereo.variances(stereo.project(points, camera), camera))
+    measured = (points + sigma * rng.standard_normal(points.shape)).astype(np.float32)
+    looks = landmarks.descriptors[rows]
+    looks = looks + scenario.descriptor_noise * rng.standard_normal(looks.shape, np.float32)
+    valid = measured[:, 2] > MIN_DEPTH_M
+    observations = ObservationSet(
+        true.robot,
+        true.stamp_ns,
+        measured[valid],
+        _published_covariances(measured[valid], scenario),
+        looks[valid].astype(np.float32),
+    )
+    return observations, ObservationTruth(true.robot, true.stamp_ns, rows[valid].astype(np.uint32))
+
+
+def _published_covariances(measured: np.ndarray, scenario: Scenario) -> np.ndarray:
+    camera = scenario.camera
+    covariances = np.zeros((len(measured), 6), np.float32)
+    covariances[:, [0, 3, 5]] = stereo.variances(
+        stereo.project(measured.astype(float), camera), camera
+    )
+    return covariances

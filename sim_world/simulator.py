@@ -1,0 +1,62 @@
+"""Scenario and seed -> everything that happens, in time order."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from msg_defs.errors import InputError
+from msg_defs.types import LandmarkMap, Trajectory, Walls
+from sim_world import robot, trajectories, world
+from sim_world.robot import RobotStep
+from sim_world.scenario import Scenario
+
+__all__ = ["RobotStep", "Simulation"]
+
+
+class Simulation:
+    """A team that drives through the building; the same scenario and seed give the same bytes.
+
+    `only` names the one robot to simulate: it reports what it would in the whole team, because
+    every robot has a random stream of its own. The world depends on `scenario.world_seed` alone.
+    """
+
+    def __init__(self, scenario: Scenario, seed: int, only: str | None = None) -> None:
+        if only is not None and only not in scenario.names:
+            raise InputError(f"no robot '{only}'; the team is {', '.join(scenario.names)}")
+        self.scenario = scenario
+        self.seed = seed
+        self._world = world.build(scenario)
+        paths = trajectories.poses(
+            scenario.trajectory, scenario.robots, scenario.movements, scenario.start_offset
+        )
+        self._index = {n: i for i, n in enumerate(scenario.names) if only in (None, n)}
+        self._paths = {name: paths[index] for name, index in self._index.items()}
+
+    @property
+    def walls(self) -> Walls:
+        """The walls of the building."""
+        return self._world.walls
+
+    @property
+    def landmarks(self) -> LandmarkMap:
+        """The true map: ids 0..N-1, no uncertainty, no observations."""
+        return self._world.landmarks
+
+    @property
+    def start_poses(self) -> dict[str, np.ndarray]:
+        """Name of each simulated robot -> (3,) its true first pose in `map`."""
+        return {name: path[0] for name, path in self._paths.items()}
+
+    def truth_path(self, name: str) -> Trajectory:
+        """The true path of a robot."""
+        path = self._paths[name]
+        return Trajectory(robot.stamps_ns(len(path), self.scenario.period_s), path)
+
+    def steps(self) -> Iterator[tuple[RobotStep, ...]]:
+        """One tuple per instant with a step of each robot; the first is the start."""
+        seeds = np.random.SeedSequence(self.seed).spawn(self.scenario.robots)
+        robots = [
+            robot.steps(name, path, self._world, self.scenario, seeds[self._index[name]])
+            for name, path in self._paths.items()
+        ]
+        return zip(*robots, strict=True)

@@ -1,0 +1,65 @@
+"""The simulated stereo camera: projection, field of view and noise (14), (15)."""
+
+import numpy as np
+
+from msg_defs.types import CameraMount, StereoCamera
+
+
+def eyes(pose: np.ndarray, camera: StereoCamera) -> np.ndarray:
+    """(2, 3) places of the left and the right camera in `map` [m] of a robot at `pose`."""
+    mount = camera.mount
+    left_m = np.array([mount.left_m, mount.left_m - camera.baseline_m])
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    x = pose[0] + c * mount.forward_m - s * left_m
+    y = pose[1] + s * mount.forward_m + c * left_m
+    return np.column_stack([x, y, np.full(2, mount.up_m)])
+
+
+def camera_from_map(points: np.ndarray, pose: np.ndarray, mount: CameraMount) -> np.ndarray:
+    """(N, 3) `points` in `map` as (X, Y, Z) in the left camera [m] of a robot at `pose`."""
+    dx, dy = points[:, 0] - pose[0], points[:, 1] - pose[1]
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    forward, left = c * dx + s * dy, c * dy - s * dx
+    return np.column_stack(
+        [mount.left_m - left, points[:, 2] - mount.up_m, forward - mount.forward_m]
+    )
+
+
+def project(points: np.ndarray, camera: StereoCamera) -> np.ndarray:
+    """Row, column and disparity (r, c, d) [px] of (N, 3) points (X, Y, Z) in the left camera.
+
+    The inverse of (14). The right camera sees the point in column c - d.
+    """
+    x, y, z = points.T
+    centre_column, centre_row = camera.centre_px
+    row = centre_row - camera.focal_px * y / z
+    column = centre_column + camera.focal_px * x / z
+    return np.column_stack([row, column, camera.focal_px * camera.baseline_m / z])
+
+
+def in_view(points: np.ndarray, camera: StereoCamera) -> np.ndarray:
+    """(N,) bool: the point (X, Y, Z) falls into the images of both cameras."""
+    inside = points[:, 2] > 0
+    row, column, disparity = project(points[inside], camera).T
+    inside[inside] = (
+        (row >= 0)
+        & (row < camera.height_px)
+        & (column - disparity >= 0)
+        & (column < camera.width_px)
+    )
+    return inside
+
+
+def variances(pixels: np.ndarray, camera: StereoCamera) -> np.ndarray:
+    """(N, 3) variances of X, Y, Z [m^2] at the (N, 3) pixels (r, c, d) (15)."""
+    row, column, disparity = pixels.T
+    centre_column, centre_row = camera.centre_px
+    across = (camera.baseline_m * camera.sigma_rc_px / disparity) ** 2
+    along = (camera.baseline_m * camera.sigma_disparity_px / disparity**2) ** 2
+    return np.column_stack(
+        [
+            across + along * (column - centre_column) ** 2,
+            across + along * (centre_row - row) ** 2,
+            along * camera.focal_px**2,
+        ]
+    )

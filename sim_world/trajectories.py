@@ -1,0 +1,84 @@
+"""Closed tours through the building, set by hand, and a team's share of them (paper sec. 7)."""
+
+import numpy as np
+
+from msg_defs.errors import InputError
+from sim_world.planar import wrap
+
+CORNER_RADIUS_M = 1.0
+"""Radius of the arcs that round the corners of a tour."""
+
+_SOUTH_WEST, _SOUTH, _SOUTH_EAST = (1.75, 1.75), (15.0, 1.75), (28.25, 1.75)
+_NORTH_WEST, _NORTH = (1.75, 28.25), (15.0, 28.25)
+_HALL_EAST, _HALL_WEST = (28.25, 25.0), (15.0, 25.0)
+_HALL_SOUTH_EAST, _HALL_CENTRE = (28.25, 22.0), (23.0, 25.0)
+
+TOURS = {
+    # The western loop counter-clockwise, the eastern one clockwise, northwards between them.
+    "figure_eight": (
+        *(_SOUTH, _NORTH, _NORTH_WEST, _SOUTH_WEST),
+        *(_SOUTH, _HALL_WEST, _HALL_EAST, _SOUTH_EAST),
+    ),
+    # From the hall southwards between the loops, the western one clockwise, the eastern one last.
+    "hall_first": (
+        *(_HALL_CENTRE, _HALL_WEST, _SOUTH, _SOUTH_WEST, _NORTH_WEST, _NORTH),
+        *(_SOUTH, _SOUTH_EAST, _HALL_SOUTH_EAST),
+    ),
+    # All around the building counter-clockwise, with the eastern loop once more on the way.
+    "ring": (
+        *(_NORTH_WEST, _SOUTH_WEST, _SOUTH_EAST, _HALL_EAST, _HALL_WEST),
+        *(_SOUTH, _SOUTH_EAST, _HALL_EAST, (17.0, 25.0), (15.0, 28.25)),
+    ),
+}
+"""Name -> corners [m] of a tour that ends where it begins, each corner turning by less than pi."""
+
+
+def poses(tour: str, robots: int, movements: int, start_offset: float = 0.0) -> np.ndarray:
+    """(K, T//K + 1, 3) true poses x [m], y [m], yaw [rad] of K robots that share a tour.
+
+    The tour, begun at `start_offset` (0..1) of its length, is cut into K equal parts, and each
+    part into T//K equal movements. A part ends at the pose where the next one begins.
+    """
+    each = movements // robots
+    if not each:
+        raise InputError(
+            f"movements = {movements} for robots = {robots}: give at least one movement per robot"
+        )
+    share = start_offset + np.arange(robots * each + 1) / (robots * each)
+    path = _resample(tour, share)
+    return np.stack([path[k * each : (k + 1) * each + 1] for k in range(robots)])
+
+
+def _resample(tour: str, share: np.ndarray) -> np.ndarray:
+    """Poses at the given shares of the tour's length; whole numbers are its beginning."""
+    x, y, yaw = _rounded(np.array(TOURS[tour])).T
+    length = np.concatenate([[0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
+    at = share % 1.0 * length[-1]
+    turned = np.interp(at, length, np.unwrap(yaw))
+    return np.column_stack([np.interp(at, length, x), np.interp(at, length, y), wrap(turned)])
+
+
+def _rounded(corners: np.ndarray) -> np.ndarray:
+    """Dense poses of the closed polygon with rounded corners, from the end of the first arc on."""
+    arcs = [
+        _arc(before, corner, after)
+        for before, corner, after in zip(
+            np.roll(corners, 1, axis=0), corners, np.roll(corners, -1, axis=0), strict=True
+        )
+    ]
+    return np.concatenate([arcs[0][-1:], *arcs[1:], arcs[0]])
+
+
+def _arc(before: np.ndarray, corner: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Poses about every degree along the arc that touches both sides of a corner."""
+    heading = np.arctan2(*(corner - before)[::-1])
+    turn = wrap(np.arctan2(*(after - corner)[::-1]) - heading)
+    radius = np.copysign(CORNER_RADIUS_M, turn)
+    start = corner - CORNER_RADIUS_M * np.tan(abs(turn) / 2) * _direction(heading)
+    centre = start + radius * _direction(heading + np.pi / 2)
+    yaw = heading + np.linspace(0, turn, 2 + int(np.degrees(abs(turn))))
+    return np.column_stack([centre + radius * _direction(yaw - np.pi / 2).T, yaw])
+
+
+def _direction(yaw: np.ndarray | float) -> np.ndarray:
+    return np.array([np.cos(yaw), np.sin(yaw)])

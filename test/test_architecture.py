@@ -1,0 +1,46 @@
+"""The rules of the import contracts that a list of forbidden modules cannot state."""
+
+import subprocess
+import sys
+
+import grimp
+
+PACKAGES = ("msg_defs", "sim_world", "multi_robot_slam")
+NODES = (
+    "msg_defs.node",
+    "sim_world.robots",
+    "multi_robot_slam.fusion",
+    "multi_robot_slam.recorder",
+    "multi_robot_slam.replay",
+)
+WITHOUT_ROS = """
+import importlib, sys
+
+class NoRos:
+    def find_spec(self, name, path=None, target=None):
+        package = name.split(".")[0]
+        if package.startswith(("rclpy", "rcl_")) or package.endswith(("_msgs", "_interfaces")):
+            raise ModuleNotFoundError(f"{name}: no ROS here")
+
+sys.meta_path.insert(0, NoRos())
+for name in sys.argv[1:]:
+    importlib.import_module(name)
+"""
+
+
+def test_filter_needs_numpy_and_numba_alone():
+    graph = grimp.build_graph(*PACKAGES, include_external_packages=True, cache_dir=None)
+    core = {"multi_robot_slam.filter"} | graph.find_descendants("multi_robot_slam.filter")
+    # annotated_types and msg_defs.types declare settings and records; both are data.
+    allowed = core | {"numpy", "numba", "annotated_types", "msg_defs.types"}
+    imported = set().union(*(graph.find_modules_directly_imported_by(name) for name in core))
+    assert imported - allowed - sys.stdlib_module_names == set()
+
+
+def test_everything_but_the_nodes_imports_without_ros():
+    graph = grimp.build_graph(*PACKAGES, cache_dir=None)
+    modules = sorted(graph.modules - set(NODES))
+    result = subprocess.run(
+        [sys.executable, "-c", WITHOUT_ROS, *modules], capture_output=True, text=True, timeout=100
+    )
+    assert result.returncode == 0, result.stderr
