@@ -163,7 +163,7 @@ def _run(node: EdgeNode) -> int:
         wait_s = 0.0
         while rclpy.ok() and not (stops or node.done):
             executor.spin_once(timeout_sec=min(wait_s, SPIN_TIMEOUT_S))
-            _take_waiting(node, executor)
+            take_waiting(node, executor)
             wait_s = node.work()
     finally:
         node.close()
@@ -172,7 +172,7 @@ def _run(node: EdgeNode) -> int:
     return node.exit_code
 
 
-def _take_waiting(node: EdgeNode, executor: Executor) -> None:
+def take_waiting(node: EdgeNode, executor: Executor) -> None:
     """Take what has come in meanwhile; what stays in the middleware is lost in the end.
 
     One `spin_once` handles one event.

@@ -1,4 +1,4 @@
-"""The estimate's configuration: one record of all modules' settings (`multi_robot_slam` section)."""
+"""The estimate's configuration: one record of all modules' settings."""
 
 from dataclasses import field
 from typing import Annotated

@@ -1,4 +1,4 @@
-"""The whole thing at once: simulated robots, fusion and recorder as processes that talk over DDS."""
+"""All at once: simulated robots, fusion and recorder as processes that talk over DDS."""
 
 import signal
 import subprocess

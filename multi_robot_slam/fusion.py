@@ -81,11 +81,12 @@ class Fusion(node.EdgeNode):
         return 0.0 if self._inbox else node.SPIN_TIMEOUT_S
 
     def close(self) -> None:
-        """Publish the final paths and map."""
+        """Publish the final paths, map and counts."""
         self._publish_pictures()
         messages, frames = len(self._inbox), self._pipeline.pending
         if messages or frames:
             self._warn(f"ended with {messages} messages and {frames} frames unfiltered")
+        self._publish_diagnostics()
 
     def _output_topics(self) -> list[topics.Topic]:
         of_each = (topics.pose, topics.path, topics.particles)

@@ -3,6 +3,7 @@
 import sys
 import time
 from collections import Counter
+from collections.abc import Callable
 from datetime import datetime
 from functools import partial
 from typing import Annotated
@@ -70,19 +71,18 @@ class Recorder(node.EdgeNode):
         self.get_logger().info(f"{self._counts.total()} messages in {self._folder}")
 
     def _record(self, topic: topics.Topic, data: bytes) -> None:
-        self._guarded(partial(self._bag.write, topic, time.time_ns(), data))
-        self._counts[topic.name] += 1
+        if not self.exit_code:
+            self._guarded(partial(self._bag.write, topic, time.time_ns(), data))
+            self._counts[topic.name] += 1
 
-    def _guarded(self, write: partial) -> None:
-        """Stop recording, with one message, when the disk fails."""
-        if self.exit_code:
-            return
+    def _guarded(self, write: Callable[[], None]) -> None:
+        """Do what writes to the disk; when the disk fails, say so once and end."""
         try:
             write()
         except OSError as error:
-            self.get_logger().error(
-                f"cannot write {self._folder}: {error.strerror}; the recording ends here"
-            )
+            if not self.exit_code:
+                text = f"cannot write {self._folder}: {error.strerror}; the recording ends here"
+                self.get_logger().error(text)
             self.exit_code = 1
             self.done = True
 

@@ -15,12 +15,14 @@ from sim_world.robot import START_NS
 from sim_world.scenario import SECTION, Scenario
 from sim_world.simulator import RobotStep, Simulation
 
-STEPS_IN_FLIGHT = 8
-"""Steps published before subscribers must have acknowledged them.
+IN_FLIGHT_S = 4.0
+"""Message time published before subscribers must have acknowledged it.
 
-A message that is lost on the way is repaired later than others arrive: by no more than this. It
-stays below the 5 s of message time that a fusion waits for a robot by default.
+A message lost on the way is sent again and arrives behind later ones, but no further behind than
+this, which is less than the 5 s that a fusion waits for a robot by default.
 """
+MOST_IN_FLIGHT = 200
+"""As many steps, if that is less; publishers and subscribers keep 1000."""
 ACKNOWLEDGE_S = 5.0
 """How long a subscriber that acknowledges nothing holds up the others."""
 POLL_S = 0.01
@@ -92,6 +94,7 @@ class SimWorld(node.EdgeNode):
         self._steps = simulation.steps()
         self._next = next(self._steps, None)
         self._published = self._in_flight = 0
+        self._most_in_flight = min(MOST_IN_FLIGHT, int(IN_FLIGHT_S / scenario.period_s))
         self._created_s = time.monotonic()
         self._started_s = self._held_up_s = None
 
@@ -158,7 +161,7 @@ class SimWorld(node.EdgeNode):
         The first step and the last must be acknowledged: that a publisher knows its subscriber
         does not mean that the subscriber knows the publisher, and the end ends the publisher.
         """
-        limit = STEPS_IN_FLIGHT if self._next and self._published > 1 else 0
+        limit = self._most_in_flight if self._next and self._published > 1 else 0
         if self._in_flight > limit // 2 and all(r.is_acknowledged() for r in self.companions):
             self._in_flight, self._held_up_s = 0, None
         if self._in_flight <= limit:

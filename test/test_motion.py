@@ -8,6 +8,7 @@ from multi_robot_slam.filter.motion import (
     MotionSettings,
     increment,
     move,
+    spread,
     standard_deviations,
     wrap,
 )
@@ -63,3 +64,17 @@ def test_noise_after_one_metre_and_one_radian_is_what_the_settings_say():
     straight = standard_deviations(np.array([0.6, -0.8, 0.0]), noise)
     np.testing.assert_allclose(straight, [0.1, 0.2, 0.3])
     np.testing.assert_allclose(standard_deviations(np.array([0, 0, -1.0]), noise), [0, 0, 0.4])
+
+
+def test_spread_is_the_covariance_of_noisy_moves():
+    noise = MotionSettings(0.1, 0.02, 0.05, 0.03)
+    motion = np.array([0.7, 0.2, 0.9])
+    poses = np.zeros((3, 200_000))
+    sigma = standard_deviations(motion, noise)[:, None]
+    drawn = motion[:, None] + sigma * np.random.default_rng(0).standard_normal(poses.shape)
+    move(poses, drawn)
+    cos, sin = np.cos(motion[2]), np.sin(motion[2])
+    body = np.array([[cos, sin], [-sin, cos]]) @ poses[:2]
+    xx, xy, yy, yaw = spread(motion, noise)
+    np.testing.assert_allclose(np.cov(body), [[xx, xy], [xy, yy]], atol=1e-4)
+    assert np.isclose(poses[2].var(), yaw, rtol=0.02)

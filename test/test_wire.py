@@ -151,7 +151,8 @@ def assert_identical(read, written):
         assert read.dtype == written.dtype
         np.testing.assert_array_equal(read, written, strict=True)
         if written.dtype.kind == "f":
-            np.testing.assert_array_equal(np.signbit(read), np.signbit(written))
+            signs = (np.signbit(values[~np.isnan(written)]) for values in (read, written))
+            np.testing.assert_array_equal(*signs)
     else:
         assert read == written
 
@@ -440,6 +441,21 @@ class TestClouds:
         getattr(written, field)[index] = value
         with pytest.raises(InputError, match=f"^observations of robot_2: .*{complaint}.*; "):
             wire.decode_observations(wire.encode_observations(written), ROBOT)
+
+    def test_definite_means_positive_eigenvalues(self):
+        six = np.random.default_rng(5).normal(size=(500, 6)).astype(np.float32)
+        six[:, [0, 3, 5]] += np.float32(1.5)
+        full = six.astype(float)[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
+        definite = (np.linalg.eigvalsh(full) > 0).all(axis=1)
+        assert 50 < definite.sum() < 450
+        for covariance, is_definite in zip(six, definite, strict=True):
+            written = replace(observations(1), covariances=covariance[None])
+            data = wire.encode_observations(written)
+            if is_definite:
+                wire.decode_observations(data, ROBOT)
+            else:
+                with pytest.raises(InputError, match="not positive definite"):
+                    wire.decode_observations(data, ROBOT)
 
     def test_landmark_ids_are_unique(self):
         written = landmark_map(3)

@@ -10,10 +10,12 @@ START = np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 1.5], [2.0, 3.0, -2.0]])
 
 
 def settings(particles: int = 12, **changes) -> FilterSettings:
+    """The paper's choices, with noise that fits `drive`."""
     noise = MotionSettings(
         forward_per_sqrt_m=0.05, left_per_sqrt_m=0.03, yaw_per_sqrt_m=0.03, yaw_per_sqrt_rad=0.05
     )
-    return FilterSettings(particles=particles, motion=noise, **changes)
+    paper = {"proposal": "motion", "resample_below": 1.0, "motion": noise}
+    return FilterSettings(particles=particles, **paper | changes)
 
 
 def drive(seed: int, steps: int, robots: int = 3, seen: int = 5, alike: float = 0.0):

@@ -1,50 +1,256 @@
 """The informed proposal: each particle's new pose is drawn knowing what the robot sees.
 
-After FastSLAM 2.0 (Montemerlo, Thrun, Koller, Wegbreit, 2003), for a pose that is exactly Gaussian
-before the frame. Given the particle's last pose, the motion model (7) is N(x_bar, P) with
-P = diag(Rz diag(s_f^2, s_l^2) Rz^T, s_yaw^2). A matched observation says that
+After FastSLAM 2.0 (Montemerlo, Thrun, Koller, Wegbreit, 2003). Given the particle's last pose, the
+motion model (7) is exactly Gaussian: N(x_bar, P), P = diag(Rz diag(s_f^2, s_l^2) Rz^T, s_yaw^2)
+with the yaw before the motion.
+A matched observation says that
 
     nu(x) = g^-1(x, v) - mu  is  N(0, Sigma + Rz R Rz^T),    nu(x_bar + d) = nu(x_bar) + H d,
 
-so every match in turn is a Kalman update of the pose with
+so each match in turn is a Kalman update of the belief about the pose, with
 
     S = H P H^T + Sigma + Rz R Rz^T,  K = P H^T S^-1,  x <- x - K nu,  P <- P - K H P,
 
-and N(nu; 0, S) is its factor of the weight. The pose is then drawn from what results, and the
-landmarks are updated or created with the drawn pose.
+and N(nu; 0, S) its factor of the weight. The gate (18) uses S in place of Z. The pose is then drawn
+from the belief, and the landmarks are updated or created as seen from the drawn pose.
 """
 
 import numpy as np
 from numba import njit
 
-from multi_robot_slam.filter.kernels import FLOAT_RULES, create_column, update_column
+from multi_robot_slam.filter.kernels import (
+    BLOCK,
+    COS,
+    DETERMINANT,
+    FLOAT_RULES,
+    SIN,
+    SQUARED,
+    UNMATCHED,
+    X,
+    Y,
+    create,
+    make_absent,
+    update,
+    weigh_new,
+)
 
-BLOCK = 256
-"""Particles handled together: their beliefs stay in the first-level cache."""
+YAW, P_XX, P_XY, P_XT, P_YY, P_YT, P_TT = range(6, 13)
+"""Rows of a block beside those of `kernels`: change of yaw so far, covariance of the pose."""
 
-ROWS = 11
-"""Numbers of a belief: mean x, y, cos yaw, sin yaw, change of yaw, covariance 6."""
-
-ANY_DISTANCE = 1e30
-"""A gate that lets everything through."""
+NO_GATE = 1e30
+"""Lets every distance through: the match is already known."""
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FLOAT_RULES)
 def associate_and_believe(
-    planes, starts, columns, poses, sigma, v, noise, gate, beliefs, matches, squared, determinants
+    planes, starts, columns, poses, spread, v, noise, gate, beliefs, matches, squared, dets
 ):
-    """Match each observation and update each particle's belief about the robot's new pose.
+    """Match each observation to a landmark and update each particle's belief about the pose.
 
     Parameters
     ----------
     poses : (4, M) cos yaw, sin yaw, x, y of the predicted pose x_bar.
-    sigma : (2, M)
+    spread : (4,) covariance xx xy yy of the motion and variance of its yaw, in the predicted body.
+    beliefs : (9, M), out: change of x, y, yaw against x_bar; covariance xx xy xt yy yt tt.
+    squared, dets : (B, M), out: D (18) and |S| of the match.
+    Others as in `kernels.associate_and_update`; `matches` is UNMATCHED where none was found, and
+    `planes` stay as they are.
     """
+    local = np.zeros((13, BLOCK), planes.dtype)
+    found = np.empty(BLOCK, np.int32)
+    for low in range(0, planes.shape[2], BLOCK):
+        high = min(low + BLOCK, planes.shape[2])
+        count = high - low
+        load(poses[:, low:high], spread, local)
+        for b in range(len(v)):
+            found[:count] = UNMATCHED
+            for i in range(starts[b], starts[b + 1]):
+                column = columns[i]
+                if column < 0:
+                    continue
+                believe(planes[column, :, low:high], column, local, found, v[b], noise[b], gate)
+                if np.sum(found[:count] == UNMATCHED) == 0:
+                    break
+            for m in range(count):
+                matches[b, low + m] = found[m]
+                squared[b, low + m] = local[SQUARED, m]
+                dets[b, low + m] = local[DETERMINANT, m]
+        for m in range(count):
+            beliefs[0, low + m] = local[X, m] - poses[2, low + m]
+            beliefs[1, low + m] = local[Y, m] - poses[3, low + m]
+            for row in range(YAW, P_TT + 1):
+                beliefs[row - YAW + 2, low + m] = local[row, m]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FLOAT_RULES)
-def believe(landmark, column, belief, v, noise, gate, matches, squared, determinants):
-    """Update a block of beliefs with one landmark where it lies inside the gate."""
+def load(poses, spread, local):
+    """Start a block's beliefs at the motion model."""
+    n_xx, n_xy, n_yy, yaw = spread[0], spread[1], spread[2], spread[3]
+    for m in range(poses.shape[1]):
+        c, s = poses[0, m], poses[1, m]
+        cc, ss, cs = c * c, s * s, c * s
+        local[COS, m] = c
+        local[SIN, m] = s
+        local[X, m] = poses[2, m]
+        local[Y, m] = poses[3, m]
+        local[YAW, m] = 0
+        local[P_XX, m] = cc * n_xx - (cs + cs) * n_xy + ss * n_yy
+        local[P_XY, m] = cs * (n_xx - n_yy) + (cc - ss) * n_xy
+        local[P_XT, m] = 0
+        local[P_YY, m] = ss * n_xx + (cs + cs) * n_xy + cc * n_yy
+        local[P_YT, m] = 0
+        local[P_TT, m] = yaw
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FLOAT_RULES)
+def believe(landmark, column, local, found, v, noise, gate):
+    """Update the beliefs of a block where `landmark` lies inside the gate and nothing else did."""
     mean_x, mean_y, mean_z = landmark[0], landmark[1], landmark[2]
     cov_xx, cov_xy, cov_xz = landmark[3], landmark[4], landmark[5]
     cov_yy, cov_yz, cov_zz = landmark[6], landmark[7], landmark[8]
+    number = landmark.dtype.type
+    one, half, sixth = number(1), number(1 / 2), number(1 / 6)
+    twentieth, twelfth = number(1 / 20), number(1 / 12)
+    index = np.int32(column)
+    n_xx, n_xy, n_xz, n_yy, n_yz, r_zz = noise[0], noise[1], noise[2], noise[3], noise[4], noise[5]
+    for m in range(landmark.shape[1]):
+        c, s = local[COS, m], local[SIN, m]
+        cc, ss, cs = c * c, s * s, c * s
+        r_xx = cc * n_xx - (cs + cs) * n_xy + ss * n_yy
+        r_xy = cs * (n_xx - n_yy) + (cc - ss) * n_xy
+        r_xz = c * n_xz - s * n_yz
+        r_yy = ss * n_xx + (cs + cs) * n_xy + cc * n_yy
+        r_yz = s * n_xz + c * n_yz
+
+        w_x, w_y = c * v[0] - s * v[1], s * v[0] + c * v[1]
+        nu_x = local[X, m] + w_x - mean_x[m]
+        nu_y = local[Y, m] + w_y - mean_y[m]
+        nu_z = v[2] - mean_z[m]
+        p_xx, p_xy, p_xt = local[P_XX, m], local[P_XY, m], local[P_XT, m]
+        p_yy, p_yt, p_tt = local[P_YY, m], local[P_YT, m], local[P_TT, m]
+        a_xx, a_xy = p_xx - w_y * p_xt, p_xy + w_x * p_xt  # A = P H^T, H = [1 0 -w_y; 0 1 w_x; 0]
+        a_yx, a_yy = p_xy - w_y * p_yt, p_yy + w_x * p_yt
+        a_tx, a_ty = p_xt - w_y * p_tt, p_yt + w_x * p_tt
+        s_xx = a_xx - w_y * a_tx + cov_xx[m] + r_xx
+        s_xy = a_xy - w_y * a_ty + cov_xy[m] + r_xy
+        s_yy = a_yy + w_x * a_ty + cov_yy[m] + r_yy
+        s_xz, s_yz, s_zz = cov_xz[m] + r_xz, cov_yz[m] + r_yz, cov_zz[m] + r_zz
+
+        i_xx = s_yy * s_zz - s_yz * s_yz
+        i_xy = s_xz * s_yz - s_xy * s_zz
+        i_xz = s_xy * s_yz - s_xz * s_yy
+        det = s_xx * i_xx + s_xy * i_xy + s_xz * i_xz
+        scale = one / det
+        i_xx, i_xy, i_xz = i_xx * scale, i_xy * scale, i_xz * scale
+        i_yy = (s_xx * s_zz - s_xz * s_xz) * scale
+        i_yz = (s_xy * s_xz - s_xx * s_yz) * scale
+        i_zz = (s_xx * s_yy - s_xy * s_xy) * scale
+        e_x = i_xx * nu_x + i_xy * nu_y + i_xz * nu_z
+        e_y = i_xy * nu_x + i_yy * nu_y + i_yz * nu_z
+        e_z = i_xz * nu_x + i_yz * nu_y + i_zz * nu_z
+        distance = nu_x * e_x + nu_y * e_y + nu_z * e_z  # (18) with S
+        match = found[m]
+        hit = np.int32(distance <= gate) * np.int32(match == UNMATCHED)
+        keep = number(hit)
+        rest = one - keep
+
+        d_t = keep * (a_tx * e_x + a_ty * e_y)
+        local[X, m] -= keep * (a_xx * e_x + a_xy * e_y)
+        local[Y, m] -= keep * (a_yx * e_x + a_yy * e_y)
+        local[YAW, m] -= d_t
+        square = d_t * d_t
+        cos_d = one - half * square * (one - twelfth * square)
+        sin_d = d_t * (one - sixth * square * (one - twentieth * square))
+        local[COS, m] = c * cos_d + s * sin_d
+        local[SIN, m] = s * cos_d - c * sin_d
+        k_xx, k_xy = a_xx * i_xx + a_xy * i_xy, a_xx * i_xy + a_xy * i_yy
+        k_yx, k_yy = a_yx * i_xx + a_yy * i_xy, a_yx * i_xy + a_yy * i_yy
+        k_tx, k_ty = a_tx * i_xx + a_ty * i_xy, a_tx * i_xy + a_ty * i_yy
+        local[P_XX, m] = p_xx - keep * (k_xx * a_xx + k_xy * a_xy)
+        local[P_XY, m] = p_xy - keep * (k_xx * a_yx + k_xy * a_yy)
+        local[P_XT, m] = p_xt - keep * (k_xx * a_tx + k_xy * a_ty)
+        local[P_YY, m] = p_yy - keep * (k_yx * a_yx + k_yy * a_yy)
+        local[P_YT, m] = p_yt - keep * (k_yx * a_tx + k_yy * a_ty)
+        local[P_TT, m] = p_tt - keep * (k_tx * a_tx + k_ty * a_ty)
+        local[SQUARED, m] = rest * local[SQUARED, m] + keep * distance
+        local[DETERMINANT, m] = rest * local[DETERMINANT, m] + keep * det
+        found[m] = match + hit * (index - match)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def draw(poses, beliefs, normals):
+    """Draw the new pose of every particle, in place.
+
+    Parameters
+    ----------
+    poses : (3, M) float64, the predicted x_bar; out: the drawn pose.
+    beliefs : (9, M) from `associate_and_believe`; normals : (3, M) standard normal.
+    """
+    for m in range(poses.shape[1]):
+        l_xx = np.sqrt(max(beliefs[3, m], 0.0))
+        inverse = 1 / l_xx if l_xx > 0 else 0.0
+        l_yx, l_tx = beliefs[4, m] * inverse, beliefs[5, m] * inverse
+        l_yy = np.sqrt(max(beliefs[6, m] - l_yx * l_yx, 0.0))
+        inverse = 1 / l_yy if l_yy > 0 else 0.0
+        l_ty = (beliefs[7, m] - l_tx * l_yx) * inverse
+        l_tt = np.sqrt(max(beliefs[8, m] - l_tx * l_tx - l_ty * l_ty, 0.0))
+        n_x, n_y, n_t = normals[0, m], normals[1, m], normals[2, m]
+        poses[0, m] += beliefs[0, m] + l_xx * n_x
+        poses[1, m] += beliefs[1, m] + l_yx * n_x + l_yy * n_y
+        poses[2, m] += beliefs[2, m] + l_tx * n_x + l_ty * n_y + l_tt * n_t
+
+
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FLOAT_RULES)
+def update_matched(
+    planes,
+    starts,
+    columns,
+    new_columns,
+    poses,
+    v,
+    noise,
+    gate,
+    matches,
+    squared,
+    dets,
+    created,
+):
+    """Update the matched landmarks and create the new ones, as seen from the drawn poses.
+
+    Parameters as in `kernels.associate_and_update`, `poses` being the drawn ones and `matches`,
+    `squared`, `dets` what `associate_and_believe` found; where it found nothing they become those
+    of the new landmark.
+    """
+    created[:] = 0
+    local = np.zeros((6, BLOCK), planes.dtype)
+    found = np.empty(BLOCK, np.int32)
+    for low in range(0, planes.shape[2], BLOCK):
+        high = min(low + BLOCK, planes.shape[2])
+        count = high - low
+        for row in range(4):
+            for m in range(count):
+                local[row, m] = poses[row, low + m]
+        for b in range(len(v)):
+            found[:count] = matches[b, low:high]
+            left = count - np.sum(found[:count] == UNMATCHED)
+            created[b] += count - left
+            for i in range(starts[b], starts[b + 1]):
+                if left == 0:
+                    break
+                column = columns[i]
+                mine = np.sum(found[:count] == column)
+                if mine > 0:
+                    landmark = planes[column, :, low:high]
+                    update(landmark, column, column, local, found, v[b], noise[b], NO_GATE)
+                    left -= mine
+            if np.any(found[:count] == UNMATCHED):
+                local[SQUARED, :count] = squared[b, low:high]
+                local[DETERMINANT, :count] = dets[b, low:high]
+                create(planes[new_columns[b], :, low:high], local, v[b], noise[b])
+                weigh_new(new_columns[b], local, found, count, noise[b], gate)
+                matches[b, low:high] = found[:count]
+                squared[b, low:high] = local[SQUARED, :count]
+                dets[b, low:high] = local[DETERMINANT, :count]
+    for b in range(len(v)):
+        if created[b] > 0:
+            make_absent(planes[new_columns[b]], matches[b], new_columns[b])

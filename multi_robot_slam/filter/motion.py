@@ -52,6 +52,23 @@ def standard_deviations(motion: np.ndarray, noise: MotionSettings) -> np.ndarray
     )
 
 
+def spread(motion: np.ndarray, noise: MotionSettings) -> np.ndarray:
+    """Covariance xx xy yy of the position and variance of the yaw after `motion`: (4,).
+
+    Seen from the pose that `motion` (3,) leads to; the noise itself acts in the pose before.
+    """
+    forward, left, yaw = np.square(standard_deviations(motion, noise))
+    cos, sin = np.cos(motion[2]), np.sin(motion[2])
+    return np.array(
+        [
+            cos * cos * forward + sin * sin * left,
+            cos * sin * (left - forward),
+            sin * sin * forward + cos * cos * left,
+            yaw,
+        ]
+    )
+
+
 def move(poses: np.ndarray, motions: np.ndarray) -> None:
     """Compose `poses` (3, M) with `motions` (3, M), in place: x_t = x_{t-1} (+) u_t."""
     cos, sin = np.cos(poses[2]), np.sin(poses[2])

@@ -1,7 +1,7 @@
 """Algorithm 1: one particle set over the poses of K robots, each with a map of small EKFs."""
 
 from dataclasses import dataclass, field
-from typing import Annotated, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from annotated_types import Gt, Interval
@@ -13,7 +13,7 @@ from msg_defs.types import (
     RobotFrame,
     settings,
 )
-from multi_robot_slam.filter import association, kernels, motion, resampling, stereo
+from multi_robot_slam.filter import association, informed, kernels, motion, resampling, stereo
 from multi_robot_slam.filter.history import History
 from multi_robot_slam.filter.landmarks import Landmarks
 from multi_robot_slam.filter.motion import MotionSettings
@@ -30,7 +30,10 @@ class FilterSettings:
     descriptor_gate: Annotated[float, Gt(0), "E_0, squared descriptor distance"] = 0.04
     resample_below: Annotated[
         float, Interval(ge=0, le=1), "resample below this share of M effective; 1 = every step"
-    ] = 1.0
+    ] = 0.5
+    proposal: Annotated[
+        Literal["motion", "informed"], "motion: the paper's (7); informed: knows the observations"
+    ] = "informed"
     motion: MotionSettings = field(default_factory=MotionSettings)
 
 
@@ -102,10 +105,10 @@ def step(
     rng: np.random.Generator,
 ) -> StepInfo:
     """One pass of Algorithm 1's loop, lines 5-10, over the frames of one instant."""
+    propose = PROPOSALS[settings.proposal]
     infos = []
     for frame in frames:
-        predict(state.poses[frame.robot], frame.motion, settings.motion, rng)  # (7)
-        info = associate_and_update(state, frame, settings, mount)  # (8)-(13), (18), (19)
+        info = propose(state, frame, settings, mount, rng)  # (7)-(13), (18), (19)
         state.log_weights += info.log_likelihood  # (16)
         state.log_weight_sum += info.log_likelihood  # (17)
         state.history.append(
@@ -122,53 +125,140 @@ def step(
     return StepInfo(tuple(infos), effective, ancestors)
 
 
-def predict(
-    poses: np.ndarray, u: np.ndarray, noise: MotionSettings, rng: np.random.Generator
-) -> None:
-    """Sample the motion model (7): `poses` (3, M) of one robot move by u (3,) plus noise."""
-    sigma = motion.standard_deviations(u, noise)
-    motion.move(poses, u[:, None] + sigma[:, None] * rng.standard_normal(poses.shape))
-
-
-def associate_and_update(
-    state: State, frame: RobotFrame, settings: FilterSettings, mount: CameraMount
+def propose_by_motion(
+    state: State,
+    frame: RobotFrame,
+    settings: FilterSettings,
+    mount: CameraMount,
+    rng: np.random.Generator,
 ) -> FrameInfo:
-    """Algorithm 1, lines 15-39, for all particles: match, update or create, and weigh."""
+    """Algorithm 1, lines 14-39: draw the pose from the motion model (7), then match and update."""
+    poses = state.poses[frame.robot]
+    sigma = motion.standard_deviations(frame.motion, settings.motion)
+    noise = sigma[:, None] * rng.standard_normal(poses.shape)
+    motion.move(poses, frame.motion[:, None] + noise)
+    work = _open(state, frame, settings, mount)
+    kernels.associate_and_update(
+        state.landmarks.planes,
+        work.candidates.starts,
+        work.candidates.columns,
+        work.new_columns,
+        _as_seen(poses, work.v.dtype),
+        work.v,
+        work.noise,
+        work.v.dtype.type(settings.gate),
+        work.matches,
+        work.squared,
+        work.determinants,
+        work.created,
+    )
+    return _close(state, frame, work)
+
+
+def propose_informed(
+    state: State,
+    frame: RobotFrame,
+    settings: FilterSettings,
+    mount: CameraMount,
+    rng: np.random.Generator,
+) -> FrameInfo:
+    """Match first, then draw the pose from what motion and matches say, then update."""
+    poses = state.poses[frame.robot]
+    motion.move(poses, frame.motion[:, None])
+    work = _open(state, frame, settings, mount)
+    beliefs = np.empty((9, settings.particles), work.v.dtype)
+    gate = work.v.dtype.type(settings.gate)
+    informed.associate_and_believe(
+        state.landmarks.planes,
+        work.candidates.starts,
+        work.candidates.columns,
+        _as_seen(poses, work.v.dtype),
+        motion.spread(frame.motion, settings.motion).astype(work.v.dtype),
+        work.v,
+        work.noise,
+        gate,
+        beliefs,
+        work.matches,
+        work.squared,
+        work.determinants,
+    )
+    informed.draw(poses, beliefs, rng.standard_normal(poses.shape))
+    informed.update_matched(
+        state.landmarks.planes,
+        work.candidates.starts,
+        work.candidates.columns,
+        work.new_columns,
+        _as_seen(poses, work.v.dtype),
+        work.v,
+        work.noise,
+        gate,
+        work.matches,
+        work.squared,
+        work.determinants,
+        work.created,
+    )
+    return _close(state, frame, work)
+
+
+PROPOSALS = {"motion": propose_by_motion, "informed": propose_informed}
+
+
+class _Work(NamedTuple):
+    """Inputs and outputs of the kernels for one frame, in the dtype of the planes."""
+
+    v: np.ndarray
+    noise: np.ndarray
+    candidates: association.Candidates
+    new_columns: np.ndarray
+    new_ids: np.ndarray
+    matches: np.ndarray
+    squared: np.ndarray
+    determinants: np.ndarray
+    created: np.ndarray
+
+
+def _open(state: State, frame: RobotFrame, settings: FilterSettings, mount: CameraMount) -> _Work:
+    """Find the candidates (19) of a frame and bring them up to date."""
     landmarks, seen = state.landmarks, frame.observations
-    count, particles, dtype = len(seen.positions), settings.particles, state.landmarks.planes.dtype
+    count, dtype = len(seen.positions), landmarks.planes.dtype
     candidates = association.find_candidates(
         seen.descriptors, landmarks.descriptors[: landmarks.top], settings.descriptor_gate
     )
     landmarks.bring_up_to_date(np.unique(candidates.columns[candidates.columns >= 0]))
     new_columns = landmarks.reserve(count)
-    new_ids = landmarks.ids[new_columns]
-
     v, noise = stereo.to_body(seen.positions, seen.covariances, mount)
-    x, y, yaw = state.poses[frame.robot]
-    poses = np.stack([np.cos(yaw), np.sin(yaw), x, y]).astype(dtype)
-    matches = np.empty((count, particles), np.int32)
-    squared = np.zeros((count, particles), dtype)
-    determinants = np.ones((count, particles), dtype)
-    created = np.empty(count, np.int32)
-    kernels.associate_and_update(
-        landmarks.planes,
-        candidates.starts,
-        candidates.columns,
-        new_columns,
-        poses,
+    return _Work(
         v.astype(dtype),
         noise.astype(dtype),
-        dtype.type(settings.gate),
-        matches,
-        squared,
-        determinants,
-        created,
+        candidates,
+        new_columns,
+        landmarks.ids[new_columns],
+        np.empty((count, settings.particles), np.int32),
+        np.empty((count, settings.particles), dtype),
+        np.empty((count, settings.particles), dtype),
+        np.empty(count, np.int32),
     )
-    ids = landmarks.ids[matches]
-    candidate_ids = np.concatenate([landmarks.ids, new_ids[::-1]])[candidates.columns]
-    landmarks.settle(new_columns, created, seen.descriptors)
-    log_likelihood = kernels.log_likelihood(squared, determinants)
-    return FrameInfo(ids, squared, log_likelihood, new_ids, candidates, candidate_ids)
+
+
+def _close(state: State, frame: RobotFrame, work: _Work) -> FrameInfo:
+    """Keep the landmarks that were created, and weigh (16)."""
+    landmarks = state.landmarks
+    ids = landmarks.ids[work.matches]
+    candidate_ids = np.concatenate([landmarks.ids, work.new_ids[::-1]])[work.candidates.columns]
+    landmarks.settle(work.new_columns, work.created, frame.observations.descriptors)
+    return FrameInfo(
+        ids,
+        work.squared,
+        kernels.log_likelihood(work.squared, work.determinants),
+        work.new_ids,
+        work.candidates,
+        candidate_ids,
+    )
+
+
+def _as_seen(poses: np.ndarray, dtype: np.dtype) -> np.ndarray:
+    """(4, M) cos yaw, sin yaw, x, y of `poses` (3, M)."""
+    return np.stack([np.cos(poses[2]), np.sin(poses[2]), poses[0], poses[1]]).astype(dtype)
 
 
 def resample(state: State, ancestors: np.ndarray) -> None:

@@ -4,9 +4,10 @@ The camera is fixed on a robot that moves in a plane, so
 
     v_hat = g(x, l) = C^T (Rz(yaw)^T (l - p) - c)
 
-is a rotation and a shift of the landmark, and its Jacobian (9) the orthogonal G = C^T Rz(yaw)^T. D (18), |Z| (16) and the update (10)-(13) do not change under a rotation of the
-measurement, so everything is computed with the measurement turned into the map frame, where the
-Jacobian is the identity: innovation G^T (v - v_hat) = g^-1(x, v) - mu, and noise G^T R G.
+is a rotation and a shift of the landmark, and its Jacobian (9) the orthogonal G = C^T Rz(yaw)^T.
+D (18), |Z| (16) and the update (10)-(13) do not change under a rotation of the measurement, so
+everything is computed with the measurement turned into the map frame, where the Jacobian is the
+identity: innovation G^T (v - v_hat) = g^-1(x, v) - mu, and noise G^T R G.
 """
 
 import numpy as np

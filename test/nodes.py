@@ -1,0 +1,70 @@
+"""What the tests of the ROS nodes share: running them in this process, and watching others."""
+
+import time
+from contextlib import contextmanager
+
+import pytest
+
+rclpy = pytest.importorskip("rclpy")
+node = pytest.importorskip("msg_defs.node")
+EventsExecutor = pytest.importorskip("rclpy.experimental").EventsExecutor
+
+
+@contextmanager
+def ros(*arguments):
+    """ROS in this process: `ros("-p", "seed:=1")`."""
+    rclpy.init(args=["--ros-args", *arguments])
+    try:
+        yield
+    finally:
+        rclpy.shutdown()
+
+
+class Listener(node.EdgeNode):
+    """Keeps the bytes of every message on `topics`, by topic, and publishes what a test wants."""
+
+    def __init__(self, *topics, name="listener"):
+        super().__init__(name)
+        self.heard = {topic: [] for topic in topics}
+        for topic in topics:
+            node.subscribe(self, topic, self.heard[topic].append)
+        self._outputs = {}
+
+    def publish(self, topic, data):
+        if topic not in self._outputs:
+            self._outputs[topic] = node.publisher(self, topic)
+            wait_until(lambda: self._outputs[topic].get_subscription_count() > 0)
+        self._outputs[topic].publish(data)
+
+
+def spin_until(condition, *nodes, timeout_s=20.0):
+    """Run `nodes` as `msg_defs.node.spin` does, until `condition()`."""
+    executor = EventsExecutor()
+    for one in nodes:
+        for each in [one, *one.companions]:
+            executor.add_node(each)
+
+    def spin():
+        for one in nodes:
+            one.work()
+            node.take_waiting(one, executor)
+        return condition()
+
+    wait_until(spin, timeout_s)
+
+
+def wait_until(condition, timeout_s=20.0):
+    deadline = time.monotonic() + timeout_s
+    while not condition():
+        assert time.monotonic() < deadline, "waited in vain"
+        time.sleep(0.001)
+
+
+def wait_for_line(process, text):
+    """Read the standard error of `process` up to the line that contains `text`."""
+    lines = []
+    for line in process.stderr:
+        lines.append(line)
+        if text in line:
+            return
+    pytest.fail(f"{text!r} is not in: {''.join(lines)}")

@@ -1,0 +1,114 @@
+import errno
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from msg_defs import topics, wire
+from multi_robot_slam.bags import BagReader, BagWriter, absolute
+from sim_world.scenario import Scenario
+from sim_world.simulator import Simulation
+
+nodes = pytest.importorskip("nodes")
+recorder = pytest.importorskip("multi_robot_slam.recorder")
+
+pytestmark = pytest.mark.usefixtures("ros_domain_id")
+
+ODOMETRY = topics.odometry("robot_1")
+
+
+def module(name, *parameters):
+    words = [word for parameter in parameters for word in ("-p", parameter)]
+    return sys.executable, "-m", name, "--ros-args", *words
+
+
+@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
+def test_nothing_is_lost_at_full_speed(spawn, tmp_path, end):
+    scenario = Scenario(robots=2, movements=400, observations=10)
+    # The robots are there first: what they latched must be recorded all the same.
+    robots = spawn(
+        *module(
+            "sim_world.robots",
+            *("robots:=2", "movements:=400", "observations:=10"),
+            *("speed:=0.0", "truth_subscribers:=1"),
+        ),
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    nodes.wait_for_line(robots, "waiting for subscribers")
+    bag = tmp_path / "bag"
+    process = spawn(
+        *module("multi_robot_slam.recorder", f"out:={bag}", "robots:=[robot_1,robot_2]")
+    )
+    robots.communicate(timeout=30)
+    process.send_signal(end)
+    assert process.wait(3) == 0
+
+    reader = BagReader(bag)
+    assert reader.warnings == []
+    recorded = {}
+    for record in reader:
+        recorded.setdefault(record.topic, []).append(record.data)
+    for topic in (topics.GROUND_TRUTH_LANDMARKS, topics.GROUND_TRUTH_WALLS, topics.WORLD_CONFIG):
+        assert len(recorded[absolute(topic.name)]) == 1
+    for step in zip(*Simulation(scenario, seed=0).steps(), strict=True):
+        name = step[0].odometry.robot
+        assert recorded[f"/{name}/stereo/landmarks"] == [
+            wire.encode_observations(s.observations) for s in step
+        ]
+        assert recorded[f"/{name}/stereo/truth"] == [
+            wire.encode_observation_truth(s.observation_truth) for s in step
+        ]
+        stamps = [s.odometry.stamp_ns for s in step]
+        for kind in ("odom", "ground_truth"):
+            poses = [wire.decode_pose(data, name) for data in recorded[f"/{name}/{kind}"]]
+            assert [pose.stamp_ns for pose in poses] == stamps
+
+
+def test_existing_folder_is_refused_with_exit_code_2(spawn, tmp_path):
+    process = spawn(
+        *module("multi_robot_slam.recorder", f"out:={tmp_path}"),
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    _, said = process.communicate(timeout=20)
+    assert process.returncode == 2
+    assert said == f"error: {tmp_path} exists already; remove it or name another bag\n"
+
+
+def record(tmp_path, *arguments, messages):
+    """The bag of a recorder that was sent `messages` (topic, bytes)."""
+    with nodes.ros("-p", f"out:={tmp_path / 'bag'}", *arguments):
+        recording, sender = recorder.Recorder(), nodes.Listener()
+        for topic, data in messages:
+            sender.publish(topic, data)
+        nodes.spin_until(lambda: recording.received == len(messages), recording)
+        recording.close()
+        return recording, list(BagReader(tmp_path / "bag"))
+
+
+def test_bytes_are_recorded_as_they_are_with_the_topic_they_came_on(tmp_path):
+    garbage = b"\0\1\0\0 is no odometry"
+    topic = ODOMETRY._replace(name=f"/team/{ODOMETRY.name}")
+    _, (written,) = record(tmp_path, "-r", "__ns:=/team", messages=[(topic, garbage)])
+    assert (written.topic, written.type, written.data) == (topic.name, topic.type, garbage)
+
+
+def test_everything_the_fusion_and_the_simulator_say_is_recorded():
+    of_robots = [t.name for t in recorder.recorded(("robot_1", "robot_2"))]
+    assert len(of_robots) == len(set(of_robots))
+    singles = {value for value in vars(topics).values() if isinstance(value, topics.Topic)}
+    assert singles <= set(recorder.recorded(("robot_1",)))
+    assert {t.replace("robot_1", "robot_2") for t in of_robots} <= set(of_robots)
+
+
+def test_full_disk_ends_the_recording_with_one_message(tmp_path, monkeypatch, capfd):
+    def fail(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(BagWriter, "write", fail)
+    recording, _ = record(tmp_path, messages=3 * [(ODOMETRY, b"\0\1\0\0")])
+    assert recording.done
+    assert recording.exit_code == 1
+    assert capfd.readouterr().err.count("No space left on device") == 1
