@@ -21,20 +21,27 @@ def ros(*arguments):
 
 
 class Listener(node.EdgeNode):
-    """Keeps the bytes of every message on `topics`, by topic, and publishes what a test wants."""
+    """Keeps the bytes of every message on `topics`, by topic, and sends what a test wants."""
 
     def __init__(self, *topics, name="listener"):
         super().__init__(name)
         self.heard = {topic: [] for topic in topics}
         for topic in topics:
             node.subscribe(self, topic, self.heard[topic].append)
-        self._outputs = {}
+        self._outbox = []
 
-    def publish(self, topic, data):
-        if topic not in self._outputs:
-            self._outputs[topic] = node.publisher(self, topic)
-            wait_until(lambda: self._outputs[topic].get_subscription_count() > 0)
-        self._outputs[topic].publish(data)
+    def send(self, messages):
+        """Publish (topic, bytes) once everybody spins, so that they arrive in this order."""
+        outputs = {topic: node.publisher(self, topic) for topic, _ in messages}
+        for publisher in outputs.values():
+            wait_until(lambda p=publisher: p.get_subscription_count() > 0)
+        self._outbox += [(outputs[topic], data) for topic, data in messages]
+
+    def work(self):
+        for publisher, data in self._outbox:
+            publisher.publish(data)
+        self._outbox.clear()
+        return 0.0
 
 
 def spin_until(condition, *nodes, timeout_s=20.0):
