@@ -126,15 +126,16 @@ def spin(make_node: Callable[[], EdgeNode], args: list[str] | None = None) -> in
     """
     for name, value in ENVIRONMENT.items():
         os.environ.setdefault(name, value)
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    # Noted, not raised: an exception in the middle of Numba's compilation is lost or breaks it.
+    stops: list[int] = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda number, _: stops.append(number))
     try:
         _init(sys.argv[1:] if args is None else args)
-        return _run(make_node())
+        return _run(make_node(), stops)
     except (InputError, NameValidationException) as error:
         print("error:", "; ".join(str(error).splitlines()), file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
-        return 0
     finally:
         rclpy.try_shutdown()
 
@@ -151,10 +152,7 @@ def _init(args: list[str]) -> None:
         )
 
 
-def _run(node: EdgeNode) -> int:
-    stops = []
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda number, _: stops.append(number))
+def _run(node: EdgeNode, stops: list[int]) -> int:
     nodes = [node, *node.companions]
     executor = EventsExecutor()
     for one in nodes:

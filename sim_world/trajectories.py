@@ -8,6 +8,10 @@ from sim_world.planar import wrap
 CORNER_RADIUS_M = 1.0
 """Radius of the arcs that round the corners of a tour."""
 
+TURN_M_PER_RAD = 2.0
+"""Driving so far takes as long as turning by one radian: robots slow down in corners, to 19 degrees
+a second by default, so that what the camera sees overlaps from frame to frame [m/rad]."""
+
 _SOUTH_WEST, _SOUTH, _SOUTH_EAST = (1.75, 1.75), (15.0, 1.75), (28.25, 1.75)
 _NORTH_WEST, _NORTH = (1.75, 28.25), (15.0, 28.25)
 _HALL_EAST, _HALL_WEST = (28.25, 25.0), (15.0, 25.0)
@@ -36,8 +40,8 @@ TOURS = {
 def poses(tour: str, robots: int, movements: int, start_offset: float = 0.0) -> np.ndarray:
     """(K, T//K + 1, 3) true poses x [m], y [m], yaw [rad] of K robots that share a tour.
 
-    The tour, begun at `start_offset` (0..1) of its length, is cut into K equal parts, and each
-    part into T//K equal movements. A part ends at the pose where the next one begins.
+    The tour, begun at `start_offset` (0..1) of its duration, is cut into K equal parts, and each
+    part into T//K movements of equal duration. A part ends at the pose where the next one begins.
     """
     each = movements // robots
     if not each:
@@ -50,12 +54,14 @@ def poses(tour: str, robots: int, movements: int, start_offset: float = 0.0) -> 
 
 
 def _resample(tour: str, share: np.ndarray) -> np.ndarray:
-    """Poses at the given shares of the tour's length; whole numbers are its beginning."""
+    """Poses at the given shares of the tour's duration; whole numbers are its beginning."""
     x, y, yaw = _rounded(np.array(TOURS[tour])).T
-    length = np.concatenate([[0], np.cumsum(np.hypot(np.diff(x), np.diff(y)))])
-    at = share % 1.0 * length[-1]
-    turned = np.interp(at, length, np.unwrap(yaw))
-    return np.column_stack([np.interp(at, length, x), np.interp(at, length, y), wrap(turned)])
+    yaw = np.unwrap(yaw)
+    efforts = np.hypot(np.hypot(np.diff(x), np.diff(y)), TURN_M_PER_RAD * np.diff(yaw))
+    effort = np.concatenate([[0], np.cumsum(efforts)])
+    at = share % 1.0 * effort[-1]
+    turned = wrap(np.interp(at, effort, yaw))
+    return np.column_stack([np.interp(at, effort, x), np.interp(at, effort, y), turned])
 
 
 def _rounded(corners: np.ndarray) -> np.ndarray:

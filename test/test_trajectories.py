@@ -8,7 +8,7 @@ import pytest
 from msg_defs.errors import InputError
 from sim_world import trajectories, world
 from sim_world.scenario import Scenario
-from sim_world.trajectories import CORNER_RADIUS_M, TOURS
+from sim_world.trajectories import TOURS, TURN_M_PER_RAD
 
 tours = pytest.mark.parametrize("tour", TOURS)
 
@@ -52,14 +52,21 @@ def test_tours_are_closed(tour):
 
 
 @tours
-def test_movements_are_equal_and_turning_is_bounded(tour):
+def test_movements_take_equal_time_and_turning_is_bounded(tour):
     path = trajectories.poses(tour, 1, 900)[0]
-    steps = np.linalg.norm(np.diff(path[:, :2], axis=0), axis=1)
-    step = steps.max()
-    # On an arc the chord is shorter than the movement.
-    chord = 2 * CORNER_RADIUS_M * np.sin(step / 2 / CORNER_RADIUS_M)
-    assert steps.min() > 0.999 * chord
-    assert np.abs(turns(path)).max() < 1.001 * step / CORNER_RADIUS_M
+    turned = turns(path)
+    distance = np.linalg.norm(np.diff(path[:, :2], axis=0), axis=1)
+    # On an arc the chord is shorter than the way.
+    way = distance * np.divide(
+        turned / 2, np.sin(turned / 2), where=turned != 0, out=1 + 0 * turned
+    )
+    effort = np.hypot(way, TURN_M_PER_RAD * turned)
+    straight = effort[turned == 0]
+    np.testing.assert_allclose(straight, straight.max(), rtol=1e-6)
+    # A movement that begins straight and ends in a corner is cut across.
+    assert effort.max() < 1.001 * straight.max()
+    assert effort.min() > 0.7 * straight.max()
+    assert np.abs(turned).max() < 1.001 * straight.max() / TURN_M_PER_RAD
 
 
 @tours

@@ -22,6 +22,12 @@ class Record:
     robot: int
     stamp_ns: int
     step: int
+    motion: np.ndarray
+    """(3,) float64: u since the robot's frame before."""
+    positions: np.ndarray
+    """(B, 3) float32: v of each observation, camera frame [m]."""
+    covariances: np.ndarray
+    """(B, 6) float32: R of each observation, camera frame [m^2]."""
     poses: np.ndarray
     """(3, R) float64."""
     matches: np.ndarray
@@ -46,9 +52,19 @@ class History:
         """Add a robot's frame: its `poses` (3, M), and as in `Record` `matches` and `new_ids`."""
         if len(self.records) - self._pruned >= PRUNE_EVERY:
             self._prune()
-        self.records.append(
-            Record(frame.robot, frame.stamp_ns, step, poses.copy(), matches, new_ids, self._leaves)
+        record = Record(
+            robot=frame.robot,
+            stamp_ns=frame.stamp_ns,
+            step=step,
+            motion=frame.motion,
+            positions=frame.observations.positions,
+            covariances=frame.observations.covariances,
+            poses=poses.copy(),
+            matches=matches,
+            new_ids=new_ids,
+            parents=self._leaves,
         )
+        self.records.append(record)
         self._leaves = np.arange(len(self._leaves), dtype=np.int32)
 
     def resample(self, ancestors: np.ndarray) -> None:
