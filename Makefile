@@ -5,7 +5,7 @@ VENV := .venv
 PYTHON ?= python3.12 python3.11 python3
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check test-all clean
+.PHONY: help demo figures test check test-all clean
 .DELETE_ON_ERROR:
 
 help: ## this list
@@ -14,6 +14,9 @@ help: ## this list
 
 demo: $(VENV)/installed ## robots, fusion and recorder as processes, then the report
 	$(VENV)/bin/multi_robot_slam demo
+
+figures: $(VENV)/installed ## the paper's experiments into runs/figures, 20 repeats; goes on if interrupted
+	$(VENV)/bin/multi_robot_slam experiment all --repeats 20 --out runs/figures
 
 test: $(VENV)/installed ## the tests
 	$(VENV)/bin/python -m pytest

@@ -1,7 +1,10 @@
-"""What every command of this project does with bad input: one line, exit code 2."""
+"""What all commands share: bad input ends in one line and exit code 2; nodes need ROS."""
 
 import sys
 from collections.abc import Callable
+from importlib import import_module
+from importlib.util import find_spec
+from typing import NoReturn
 
 from msg_defs.errors import InputError
 
@@ -13,3 +16,17 @@ def run(app: Callable[[], object]) -> None:
     except InputError as error:
         print("error:", "; ".join(str(error).splitlines()), file=sys.stderr)
         sys.exit(2)
+
+
+def require_ros() -> None:
+    """`InputError` where ROS is not installed or not sourced."""
+    if find_spec("rclpy") is None:
+        raise InputError(
+            "no module 'rclpy': source ROS 2 Jazzy, or pip install 'multi_robot_slam[ros]'"
+        )
+
+
+def start_node(module: str, args: list[str]) -> NoReturn:
+    """Run the node in `module` until it ends, and exit with its code."""
+    require_ros()
+    sys.exit(import_module(module).main(args))

@@ -163,6 +163,7 @@ def _run(node: EdgeNode, stops: list[int]) -> int:
             executor.spin_once(timeout_sec=min(wait_s, SPIN_TIMEOUT_S))
             take_waiting(node, executor)
             wait_s = node.work()
+        take_waiting(node, executor)
     finally:
         node.close()
         for one in nodes:

@@ -30,18 +30,27 @@ def from_mapping(cls: type[Settings], values: dict, source: str = "settings") ->
         raise InputError("\n".join(_explain(e, source) for e in error.errors())) from None
 
 
-def from_yaml(cls: type[Settings], text: str, section: str, source: str = "YAML") -> Settings:
-    """Read `section` of a scenario given as YAML text; a section left out means all defaults."""
+def sections(text: str, source: str = "YAML") -> dict[str, dict]:
+    """The sections of a scenario given as YAML text; one that is left out is empty."""
     try:
         scenario = yaml.safe_load(text) or {}
     except yaml.YAMLError as error:
         raise InputError(f"{source}: not valid YAML: {error}") from None
     if not isinstance(scenario, dict):
         raise InputError(f"{source}: expected sections {', '.join(SECTIONS)}, found {scenario!r}")
-    for name in scenario:
+    for name, values in scenario.items():
         if name not in SECTIONS:
             raise InputError(f"{source}: unknown section '{name}'; use {' or '.join(SECTIONS)}")
-    return from_mapping(cls, scenario.get(section) or {}, f"{source}: {section}")
+        if not isinstance(values, dict | None):
+            raise InputError(
+                f"{source}: section '{name}' is {values!r}; write one 'key: value' a line"
+            )
+    return {name: scenario.get(name) or {} for name in SECTIONS}
+
+
+def from_yaml(cls: type[Settings], text: str, section: str, source: str = "YAML") -> Settings:
+    """Read `section` of a scenario given as YAML text; a section left out means all defaults."""
+    return from_mapping(cls, sections(text, source)[section], f"{source}: {section}")
 
 
 def find_scenario(name: str) -> Path:
@@ -55,13 +64,19 @@ def find_scenario(name: str) -> Path:
     return path
 
 
-def from_file(cls: type[Settings], path: Path, section: str) -> Settings:
-    """Read `section` of the scenario file at `path`."""
+def read(path: Path) -> str:
+    """The text of the scenario file at `path`."""
     try:
-        text = Path(path).read_text()
+        return Path(path).read_text()
     except OSError as error:
         raise InputError(f"cannot read the scenario {path}: {error.strerror}") from None
-    return from_yaml(cls, text, section, str(path))
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path} is no text file ({error}); name a YAML file") from None
+
+
+def from_file(cls: type[Settings], path: Path, section: str) -> Settings:
+    """Read `section` of the scenario file at `path`."""
+    return from_yaml(cls, read(path), section, str(path))
 
 
 def to_plain(record: object) -> dict:
@@ -79,4 +94,6 @@ def _explain(error: dict, source: str) -> str:
     key = ".".join(str(part) for part in error["loc"])
     if error["type"] == "unexpected_keyword_argument":
         return f"{source}: unknown key '{key}'; remove it or correct its spelling"
+    if error["type"] == "value_error":
+        return f"{source}: {error['ctx']['error']}"
     return f"{source}: {key} = {error['input']!r}: {error['msg']}"

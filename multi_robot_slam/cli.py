@@ -1,14 +1,22 @@
 """The command `multi_robot_slam`: one function per verb."""
 
 import os
-import sys
+from dataclasses import replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    TaskProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
 from msg_defs import cli, settings
 from msg_defs.errors import InputError
@@ -44,8 +52,9 @@ def demo(
     """
     from multi_robot_slam import demo
 
+    cli.require_ros()
+    text = demo.configure(scenario, robots, seed)
     folder = _new_folder(out)
-    text = demo.configure(settings.find_scenario(scenario), robots, seed)
     (folder / "scenario.yaml").write_text(text)
     demo.record(folder, folder / "scenario.yaml", seed, speed)
     evaluate(folder)
@@ -84,13 +93,81 @@ def evaluate(
     _finish(runs.from_bag(bag), folder)
 
 
+@app.command()
+def experiment(
+    name: Annotated[str | None, typer.Argument(help="fig3, fig4, ... fig9, or all.")] = None,
+    repeats: Annotated[
+        int | None, typer.Option(min=1, help="Runs of each point; default 20, with --quick 2.")
+    ] = None,
+    out: Annotated[
+        Path, typer.Option(help="Folder of the table; rows it has are not computed again.")
+    ] = Path("runs/experiments"),
+    particles: Annotated[
+        str | None, typer.Option(help="Numbers of particles in figures 5 and 9: 1,50,500.")
+    ] = None,
+    first_seed: Annotated[int, typer.Option(min=0, help="Seed of the first repeat.")] = 0,
+    quick: Annotated[bool, typer.Option("--quick", help="Few repeats of few points.")] = False,
+    processes: Annotated[
+        int | None, typer.Option(min=1, help="Processes on this machine; default: one per core.")
+    ] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(help="Run on the Dask cluster of this scheduler, tcp://...")
+    ] = None,
+    row: Annotated[
+        str | None, typer.Option(help="Instead: compute this row of table.csv again.")
+    ] = None,
+) -> None:
+    """The paper's experiments: table.csv, a picture of each figure, and what it shows.
+
+    Rows are written as they finish: an interrupted experiment goes on where it stopped.
+    """
+    from multi_robot_slam import experiment_report, experiments, scheduling
+
+    base = experiments.paper()
+    execute = (
+        partial(scheduling.on_cluster, scheduler=scheduler)
+        if scheduler
+        else partial(scheduling.local, processes=processes)
+    )
+    if row is not None:
+        typer.echo(experiments.repeat(row, base, execute))
+        return
+    if name is None:
+        raise InputError("name the experiment: fig3, fig4, ... fig9, or all")
+    grid = experiments.QUICK if quick else experiments.Grid()
+    if particles is not None:
+        grid = replace(grid, particles=experiments.particle_numbers(particles))
+    count = repeats or (experiments.QUICK_REPEATS if quick else experiments.REPEATS)
+    seeds = range(first_seed, first_seed + count)
+    wanted = experiments.plan(experiments.figures_of(name), grid, seeds, base)
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
+    with Progress(
+        *columns,
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+        console=messages,
+        speed_estimate_period=600,
+    ) as progress:
+        task = progress.add_task(f"{name}, {len(wanted)} rows", total=None)
+        rows = experiments.run(
+            wanted,
+            base,
+            out,
+            execute,
+            lambda done, total: progress.update(task, completed=done, total=total),
+        )
+    experiment_report.write(rows, base, out)
+    console.print(f"Everything is in {out}", markup=False)
+
+
 @app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
 def fusion(context: typer.Context) -> None:
     """ROS node: the team's odometry and observations in, poses and the landmark map out.
 
     Parameters as for any node: multi_robot_slam fusion --ros-args -p scenario:=FILE
     """
-    _start_node("fusion", context.args)
+    cli.start_node("multi_robot_slam.fusion", context.args)
 
 
 @app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
@@ -99,17 +176,7 @@ def record(context: typer.Context) -> None:
 
     Parameters as for any node: multi_robot_slam record --ros-args -p out:=FOLDER -p robots:=[...]
     """
-    _start_node("recorder", context.args)
-
-
-def _start_node(module: str, args: list[str]) -> None:
-    try:
-        node = __import__(f"multi_robot_slam.{module}", fromlist=["main"])
-    except ModuleNotFoundError as error:
-        raise InputError(
-            f"no module '{error.name}': source ROS 2, or pip install 'multi_robot_slam[ros]'"
-        ) from None
-    sys.exit(node.main(args))
+    cli.start_node("multi_robot_slam.recorder", context.args)
 
 
 def _configuration(

@@ -5,10 +5,13 @@ from typing import Annotated
 
 from annotated_types import Ge
 
+from msg_defs.errors import InputError
 from msg_defs.types import CameraMount, settings
 from multi_robot_slam.filter.rbpf import FilterSettings
 
 SECTION = "multi_robot_slam"
+MOST_ROBOTS = 32
+"""A landmark keeps which robots observed it in as many bits."""
 
 
 @settings
@@ -25,3 +28,15 @@ class Config:
     ] = 5.0
     mount: CameraMount = field(default_factory=CameraMount)
     filter: FilterSettings = field(default_factory=FilterSettings)
+
+    def __post_init__(self) -> None:
+        names, count = self.robots, len(self.robots)
+        if not 0 < count <= MOST_ROBOTS or len(set(names)) < count:
+            raise InputError(
+                f"robots = {list(names)}: name each robot of the team once, {MOST_ROBOTS} at most"
+            )
+        if len(self.start_poses) != count:
+            raise InputError(
+                f"start_poses: {len(self.start_poses)} poses for {count} robots; "
+                "give x, y, yaw of each"
+            )

@@ -1,5 +1,7 @@
 """All at once: simulated robots, fusion and recorder as processes that talk over DDS."""
 
+import os
+import random
 import signal
 import subprocess
 import sys
@@ -8,84 +10,108 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from subprocess import Popen
 
 from msg_defs import settings
-from msg_defs.errors import InputError
 from multi_robot_slam.config import SECTION, Config
 from sim_world.scenario import SECTION as WORLD_SECTION
 from sim_world.scenario import Scenario
-from sim_world.simulator import Simulation
+from sim_world.team import team_scenario
 
-END_S = 3.0
-"""How long a process may take to end after SIGINT."""
+END_S = 2.8
+"""How long the processes may take to end, all together."""
+RECORDER_S = 0.8
+"""How much of it is the recorder's, which ends last."""
 IDLE_S = 2.0
 """Silence after which the fusion takes the exploration for over."""
 
 
-def configure(scenario: Path, robots: int | None, seed: int) -> str:
-    """Both packages' settings for a simulated team, as YAML: names and start poses agree."""
-    world = settings.from_file(Scenario, scenario, WORLD_SECTION)
-    if robots is not None:
-        world = settings.from_mapping(Scenario, vars(world) | {"robots": robots})
-    starts = Simulation(world, seed).start_poses
-    config = replace(
-        settings.from_file(Config, scenario, SECTION),
-        robots=tuple(starts),
-        start_poses=tuple(tuple(map(float, pose)) for pose in starts.values()),
-        seed=seed,
-    )
-    return settings.to_yaml(**{WORLD_SECTION: world, SECTION: config})
+def configure(scenario: str, robots: int | None, seed: int) -> str:
+    """Every setting of both packages for a simulated team, as YAML."""
+    team = team_scenario(scenario, robots)
+    config = settings.from_yaml(Config, team, SECTION, scenario)
+    world = settings.from_yaml(Scenario, team, WORLD_SECTION, scenario)
+    return settings.to_yaml(**{WORLD_SECTION: world, SECTION: replace(config, seed=seed)})
 
 
 def record(folder: Path, scenario: Path, seed: int, speed: float) -> None:
     """Spawn recorder, fusion and robots; leave `folder/bag` when the exploration is over.
 
-    `scenario` is what `configure` wrote. Whatever happens, every process is ended, the recorder
-    last, so that its bag is whole.
+    `scenario` holds what `configure` made. SIGINT, SIGTERM or a process that fails end all of
+    them, the recorder last, so that its bag is whole; then the program exits.
     """
-    team = ",".join(settings.from_file(Config, scenario, SECTION).robots)
-    shared = [f"scenario:={scenario}"]
-    with (
-        _node(
-            "multi_robot_slam.recorder", f"out:={folder / 'bag'}", f"robots:=[{team}]"
-        ) as recorder,
-        _node("multi_robot_slam.fusion", *shared, f"stop_after_s:={IDLE_S}") as fusion,
-        _node(
-            "sim_world.robots",
-            *shared,
-            f"seed:={seed}",
-            f"speed:={speed}",
-            "subscribers:=2",
-            "truth_subscribers:=1",
-        ) as robots,
-    ):
-        _wait(robots, [fusion, recorder])
-        _wait(fusion, [recorder])
+    os.environ.setdefault("ROS_DOMAIN_ID", str(random.randint(1, 101)))
+    os.environ.setdefault("RCUTILS_CONSOLE_OUTPUT_FORMAT", "[{severity}] {name}: {message}")
+    print(f"ROS_DOMAIN_ID={os.environ['ROS_DOMAIN_ID']} lets other ROS tools listen", flush=True)
+    bag = folder / "bag"
+    robots = ",".join(settings.from_file(Config, scenario, SECTION).robots)
+    shared = f"scenario:={scenario}"
+    pace = f"seed:={seed}", f"speed:={speed}", "subscribers:=2", "truth_subscribers:=1"
+    processes: list[Popen] = []
+
+    def start(module: str, *parameters: str) -> Popen:
+        processes.append(_spawn(module, *parameters))
+        return processes[-1]
+
+    with _stops_noted() as stops:
+        try:
+            recorder = start("multi_robot_slam.recorder", f"out:={bag}", f"robots:=[{robots}]")
+            fusion = start("multi_robot_slam.fusion", shared, f"stop_after_s:={IDLE_S}")
+            world = start("sim_world.robots", shared, *pace)
+            failed = _wait(world, [fusion, recorder], stops) or _wait(fusion, [recorder], stops)
+        finally:
+            _end(processes)
+    if failed:
+        sys.exit(f"error: {failed}; what was recorded so far is in {bag}")
 
 
 @contextmanager
-def _node(module: str, *parameters: str) -> Iterator[subprocess.Popen]:
-    """A node in a process of its own, which is ended with SIGINT by its process id."""
-    arguments = [argument for p in parameters for argument in ("-p", p)]
-    process = subprocess.Popen(
-        [sys.executable, "-m", module, "--ros-args", *arguments], start_new_session=True
-    )
+def _stops_noted() -> Iterator[list[int]]:
+    """Note the signals that ask to stop in a list; they interrupt nothing in the block."""
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:  # as `nohup` has it
+        numbers.append(signal.SIGHUP)
+    stops: list[int] = []
+    before = {n: signal.signal(n, lambda number, _: stops.append(number)) for n in numbers}
     try:
-        yield process
+        yield stops
     finally:
-        process.send_signal(signal.SIGINT)
-        try:
-            process.wait(END_S)
-        except subprocess.TimeoutExpired:
-            process.kill()
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
-def _wait(process: subprocess.Popen, needed: list[subprocess.Popen]) -> None:
-    """Wait until `process` has ended well; `InputError` when it or a `needed` one fails."""
+def _spawn(module: str, *parameters: str) -> Popen:
+    """Start a node in a session of its own, where no Ctrl-C of the terminal reaches it."""
+    arguments = [word for parameter in parameters for word in ("-p", parameter)]
+    return Popen([sys.executable, "-m", module, "--ros-args", *arguments], start_new_session=True)
+
+
+def _wait(process: Popen, needed: list[Popen], stops: list[int]) -> str:
+    """Wait until `process` has ended well; what went wrong if it has not, else an empty string."""
     while process.poll() is None:
+        if stops:
+            return f"ended by {signal.Signals(stops[0]).name}"
         for other in needed:
             if other.poll() is not None:
-                raise InputError(f"{other.args[2]} ended too early; what it said is above")
-        time.sleep(0.05)
-    if process.returncode:
-        raise InputError(f"{process.args[2]} failed; what it said is above")
+                return f"{other.args[2]} ended too early, with exit code {other.returncode}"
+        time.sleep(0.02)
+    code = process.returncode
+    return f"{process.args[2]} failed with exit code {code}" if code else ""
+
+
+def _end(processes: list[Popen]) -> None:
+    """End all by their process ids: SIGINT, for the recorder (the first) when the others ended."""
+    deadline_s = time.monotonic() + END_S
+    _end_by(processes[1:], deadline_s - RECORDER_S)
+    _end_by(processes[:1], deadline_s)
+
+
+def _end_by(processes: list[Popen], deadline_s: float) -> None:
+    for process in processes:
+        process.send_signal(signal.SIGINT)
+    for process in processes:
+        try:
+            process.wait(max(0.0, deadline_s - time.monotonic()))
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()

@@ -18,7 +18,8 @@ from multi_robot_slam.filter.motion import increment, move
 from multi_robot_slam.pipeline import Pipeline
 
 DIAGNOSTICS_PERIOD_S = 1.0
-LOG_PERIOD_S = 5.0
+PROGRESS_PERIOD_S = 0.9
+WARNING_PERIOD_S = 5.0
 
 
 @settings
@@ -51,9 +52,9 @@ class Fusion(node.EdgeNode):
     def __init__(self) -> None:
         super().__init__("fusion")
         config, self._settings = node.declare(self, Config, Publishing, section=SECTION)
-        _require_team(config)
         self._robots = config.robots
         self._pipeline = Pipeline(config, self._warn)
+        self.get_logger().info("loading the filter, which is compiled the first time")
         self._pipeline.warm_up()
         self._inbox: deque[Message] = deque()
         self._health = Health(config.robots, self._settings.silent_s)
@@ -118,8 +119,7 @@ class Fusion(node.EdgeNode):
         try:
             event = message.decode(message.data, message.robot)
         except InputError as error:
-            self._health.bad[f"bad {str(error).partition(':')[0]}"] += 1
-            self._warn(str(error))
+            self._pipeline.refuse(error)
         else:
             self._publish_steps(self._pipeline.handle(event))
 
@@ -156,23 +156,22 @@ class Fusion(node.EdgeNode):
             particles = self._pipeline.particles(robot)
             self._publish(topics.path(robot), wire.encode_path(path, stamp_ns))
             self._publish(topics.particles(robot), wire.encode_particles(particles, stamp_ns))
+        self.get_logger().info(self._health.progress(), throttle_duration_sec=PROGRESS_PERIOD_S)
 
     def _publish_diagnostics(self) -> None:
-        dropped = self._health.bad + self._pipeline.dropped
-        statuses = self._health.statuses(len(self._inbox), self._pipeline.pending, dropped)
+        dropped, pending = self._pipeline.dropped, self._pipeline.pending
+        statuses = self._health.statuses(len(self._inbox), pending, dropped)
         stamp_ns = self.get_clock().now().nanoseconds
         self._publish(topics.DIAGNOSTICS, wire.encode_diagnostics(stamp_ns, statuses))
 
     def _warn(self, text: str) -> None:
-        self.get_logger().warning(text, throttle_duration_sec=LOG_PERIOD_S)
+        self.get_logger().warning(text, throttle_duration_sec=WARNING_PERIOD_S)
 
 
 class Health:
     """What `/diagnostics` tells."""
 
     def __init__(self, robots: tuple[str, ...], silent_s: float) -> None:
-        self.bad: Counter[str] = Counter()
-        """Messages that could not be decoded, by reason."""
         self.lag_s = 0.0
         self.landmarks = 0
         self.step: StepRecord | None = None
@@ -189,6 +188,14 @@ class Health:
         self.step = step
         for frame in step.frames:
             self._frames[frame.robot] += 1
+
+    def progress(self) -> str:
+        """One line about the last step."""
+        step = self.step
+        return (
+            f"step {step.step}, {len(step.frames)} robots, {self.landmarks} landmarks, "
+            f"{step.effective_particles:.0f} effective particles, lag {self.lag_s:.2f} s"
+        )
 
     def silence_s(self) -> float:
         """Time since the last message of any robot [s]."""
@@ -227,16 +234,6 @@ def odom_in_map(estimate: np.ndarray, odometry: np.ndarray) -> np.ndarray:
 
 def _texts(values: dict[str, object]) -> dict[str, str]:
     return {key: str(value) for key, value in values.items()}
-
-
-def _require_team(config: Config) -> None:
-    if len(set(config.robots)) != len(config.robots) or not config.robots:
-        raise InputError(f"robots = {list(config.robots)}: name each robot once")
-    if len(config.start_poses) != len(config.robots):
-        raise InputError(
-            f"start_poses: {len(config.start_poses)} poses for {len(config.robots)} robots; "
-            "give x, y, yaw of each"
-        )
 
 
 def main(args: list[str] | None = None) -> int:

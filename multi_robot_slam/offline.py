@@ -12,10 +12,17 @@ from multi_robot_slam.config import SECTION, Config
 from multi_robot_slam.pipeline import Pipeline
 
 
-def events(bag: Path, robots: tuple[str, ...]) -> Iterator[Event]:
+def _raise(error: InputError) -> None:
+    raise error
+
+
+def events(
+    bag: Path, robots: tuple[str, ...], refuse: Callable[[InputError], None] = _raise
+) -> Iterator[Event]:
     """Odometry and observations of `robots` in the order they were recorded.
 
-    `InputError` when the bag has none, or holds a message that is not what its topic says.
+    `InputError` when the bag has none; `refuse` is called for each message that is damaged or
+    not what its topic says.
     """
     decoders = {}
     for robot in robots:
@@ -26,7 +33,12 @@ def events(bag: Path, robots: tuple[str, ...]) -> Iterator[Event]:
         if record.topic in decoders:
             robot, decode = decoders[record.topic]
             found.add(record.topic)
-            yield decode(record.data, robot)
+            try:
+                event = decode(record.data, robot)
+            except InputError as error:
+                refuse(error)
+            else:
+                yield event
     if len(found) < 2:
         raise InputError(
             f"{bag} has nothing to estimate from: expected {', '.join(decoders)}; "
@@ -58,7 +70,7 @@ def estimate(
     """
     pipeline = Pipeline(config, warn)
     steps = []
-    for event in events(bag, config.robots):
+    for event in events(bag, config.robots, pipeline.refuse):
         done = pipeline.handle(event)
         for step in done:
             on_step(step)

@@ -12,6 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from msg_defs.errors import InputError
 from msg_defs.types import (
     Estimate,
     Event,
@@ -37,7 +38,7 @@ class Pipeline:
     Parameters
     ----------
     config : the whole configuration.
-    warn : called with one line for each event that is dropped.
+    warn : called with one line for each event and message that is dropped.
 
     """
 
@@ -80,6 +81,11 @@ class Pipeline:
             robot.newest_ns = event.stamp_ns
             robot.waiting.append(event)
         return self._release(self._complete_until())
+
+    def refuse(self, error: InputError) -> None:
+        """Count and tell of a message that could not be decoded."""
+        self.dropped[f"bad {str(error).partition(':')[0]}"] += 1
+        self._warn(f"dropped {error}")
 
     def finish(self) -> list[StepRecord]:
         """Filter what is still held back; frames whose odometry never came are dropped."""

@@ -66,9 +66,8 @@ class Recorder(node.EdgeNode):
     def close(self) -> None:
         """Complete the bag and tell what is in it."""
         self._guarded(self._bag.close)
-        for topic, count in sorted(self._counts.items()):
-            self.get_logger().info(f"{count:7d} {topic}")
-        self.get_logger().info(f"{self._counts.total()} messages in {self._folder}")
+        messages, topics_heard = self._counts.total(), len(self._counts)
+        self.get_logger().info(f"{messages} messages of {topics_heard} topics in {self._folder}")
 
     def _record(self, topic: topics.Topic, data: bytes) -> None:
         if not self.exit_code:

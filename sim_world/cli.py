@@ -1,18 +1,14 @@
 """The command `sim_world`: one function per verb."""
 
-import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
-import yaml
 
-from msg_defs import cli, settings
+from msg_defs import cli
 from msg_defs.errors import InputError
 from sim_world import descriptors as database
-from sim_world.scenario import SECTION, Scenario
-from sim_world.simulator import Simulation
+from sim_world.team import team_scenario
 
 app = typer.Typer(
     help="The simulated world: a building with visual landmarks, and a team of robots in it.",
@@ -53,19 +49,7 @@ def team(
     sim_world robots --ros-args -p scenario:=team.yaml
     multi_robot_slam fusion --ros-args -p scenario:=team.yaml
     """
-    path = settings.find_scenario(scenario)
-    world = settings.from_file(Scenario, path, SECTION)
-    if robots is not None:
-        world = replace(world, robots=robots)
-    starts = Simulation(world, seed=0).start_poses
-    estimate = (yaml.safe_load(path.read_text()) or {}).get("multi_robot_slam") or {}
-    estimate |= {
-        "robots": list(starts),
-        "start_poses": [pose.tolist() for pose in starts.values()],
-        "mount": settings.to_plain(world.camera.mount),
-    }
-    sections = {SECTION: settings.to_plain(world), "multi_robot_slam": estimate}
-    print(yaml.safe_dump(sections, sort_keys=False), end="")
+    print(team_scenario(scenario, robots), end="")
 
 
 @app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
@@ -75,13 +59,7 @@ def robots(context: typer.Context) -> None:
     Parameters are given as for any node, for example:
     sim_world robots --ros-args -p scenario:=FILE -p robots:=2 -p seed:=1
     """
-    try:
-        from sim_world.robots import main as publish
-    except ModuleNotFoundError as error:
-        raise InputError(
-            f"no module '{error.name}': source ROS 2, or pip install 'multi_robot_slam[ros]'"
-        ) from None
-    sys.exit(publish(context.args))
+    cli.start_node("sim_world.robots", context.args)
 
 
 def main() -> None:

@@ -153,7 +153,6 @@ class SimWorld(node.EdgeNode):
         self._next = next(self._steps, None)
         self._published += 1
         self._in_flight += 1
-        self.get_logger().info(f"{self._published} steps published", throttle_duration_sec=1.0)
 
     def _is_held_up(self) -> bool:
         """Too much is unacknowledged to go on.

@@ -6,6 +6,7 @@ import itertools
 import os
 import signal
 import subprocess
+import sys
 import tempfile
 from pathlib import Path
 
@@ -43,6 +44,21 @@ def ros_domain_id(monkeypatch):
             yield domain_id
             return
     pytest.fail(f"all ROS domain ids are in use: see {folder}")
+
+
+@pytest.fixture
+def command(monkeypatch, capfd):
+    """Run `multi_robot_slam` in this process: `command(word, ...) -> (code, stdout, stderr)`."""
+
+    def run(*words):
+        from multi_robot_slam import cli
+
+        monkeypatch.setattr(sys, "argv", ["multi_robot_slam", *map(str, words)])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        return end.value.code or 0, *capfd.readouterr()
+
+    return run
 
 
 @pytest.fixture(scope="session")

@@ -143,3 +143,27 @@ def importance_resampling(S, uniform):
 
 def best(S):  # (17)
     return int(np.argmax([p.log_weight_sum for p in S]))
+
+
+def run(steps, starts, settings, mount, rng):
+    """Lines 1-11 over `steps` (lists of RobotFrame): S and the choices c of each frame.
+
+    Draws in the filter's order: normals (3, M) for each frame, one uniform for each step.
+    """
+    model = Model(
+        settings.gate,
+        settings.descriptor_gate,
+        (mount.forward_m, mount.left_m, mount.up_m),
+        tuple(vars(settings.motion).values()),
+    )
+    S = [Particle([np.array(pose, float) for pose in starts]) for _ in range(settings.particles)]
+    choices = []
+    for t, frames in enumerate(steps):
+        for frame in frames:
+            seen = frame.observations
+            z = (seen.positions.astype(float), seen.descriptors.astype(float))
+            R = seen.covariances.astype(float)[:, [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]
+            normals = rng.standard_normal((3, settings.particles))
+            choices.append(fast_slam_mr(S, frame.robot, z, R, frame.motion, normals, model, t))
+        S, _ = importance_resampling(S, rng.random())
+    return S, choices

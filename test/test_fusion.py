@@ -167,7 +167,7 @@ def test_works_under_a_namespace(parameters):
     ("argument", "reason"),
     [
         ("start_poses:=[0.0, 0.0, 0.0]", "1 poses for 2 robots"),
-        ("robots:=[a, a]", "name each robot once"),
+        ("robots:=[a, a]", "name each robot of the team once"),
         ("filter.particles:=0", "filter.particles = 0"),
     ],
 )

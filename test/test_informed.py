@@ -55,7 +55,7 @@ def believe(landmarks, sigma, spread, v, R):
     starts, columns = np.arange(count + 1, dtype=np.int32), np.arange(count, dtype=np.int32)
     poses = np.array([[1.0], [0.0], [0.0], [0.0]])
     informed.associate_and_believe(
-        planes, starts, columns, poses, spread, v, R, 1e9, beliefs, matches, D, S
+        0, 1, planes, starts, columns, poses, spread, v, R, 1e9, False, beliefs, matches, D, S
     )
     assert matches[:, 0].tolist() == columns.tolist()
     return beliefs[:, 0], D[:, 0], S[:, 0]

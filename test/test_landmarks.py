@@ -101,8 +101,10 @@ def test_growth_keeps_what_was_there():
     lazy = Landmarks(PARTICLES, capacity=2)
     columns = lazy.reserve(2)
     lazy.planes[columns] = 7
+    lazy.bound(columns, 9.0)
     lazy.settle(columns, np.array([PARTICLES] * 2), np.ones((2, 128), np.float32))
     lazy.reserve(50)
     assert (lazy.planes[columns] == 7).all()
     assert (lazy.descriptors[columns] == 1).all()
+    assert (lazy.boxes[columns, 0] < 7).all()
     assert (lazy.ids[52:] == FREE).all()

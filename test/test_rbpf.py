@@ -15,32 +15,6 @@ def run_filter(steps, settings, seed, dtype=np.float32):
     return state, infos
 
 
-def run_literal(steps, settings, seed):
-    """The same draws in the same order: normals (3, M) a frame, one uniform a step."""
-    rng = np.random.default_rng(seed)
-    noise, mount = settings.motion, worlds.MOUNT
-    model = literal.Model(
-        settings.gate,
-        settings.descriptor_gate,
-        (mount.forward_m, mount.left_m, mount.up_m),
-        tuple(vars(noise).values()),
-    )
-    S = [literal.Particle([p.copy() for p in worlds.START]) for _ in range(settings.particles)]
-    choices, weights = [], []
-    for t, frames in enumerate(steps):
-        for frame in frames:
-            seen = frame.observations
-            z = (seen.positions.astype(float), seen.descriptors.astype(float))
-            R = stereo.unpack(seen.covariances)
-            normals = rng.standard_normal((3, settings.particles))
-            choices.append(
-                literal.fast_slam_mr(S, frame.robot, z, R, frame.motion, normals, model, t)
-            )
-        weights.append([p.log_weight for p in S])
-        S, _ = literal.importance_resampling(S, rng.random())
-    return S, choices, np.array(weights)
-
-
 def origins(steps, infos):
     """Landmark id -> (step, robot, b) of the observation that creates it."""
     return {
@@ -56,7 +30,8 @@ def test_equals_algorithm_1_draw_for_draw(seed):
     steps = worlds.drive(seed, steps=25, alike=0.3)
     settings = worlds.settings(particles=10)
     state, infos = run_filter(steps, settings, seed, np.float64)
-    S, choices, _ = run_literal(steps, settings, seed)
+    rng = np.random.default_rng(seed)
+    S, choices = literal.run(steps, worlds.START, settings, worlds.MOUNT, rng)
 
     origin = origins(steps, infos)
     frames = [frame for info in infos for frame in info.frames]
@@ -101,6 +76,37 @@ def test_same_seed_same_bytes():
     assert a.poses.tobytes() == b.poses.tobytes()
     for m in (0, 49):
         assert a.landmarks.of_particle(m)[1].tobytes() == b.landmarks.of_particle(m)[1].tobytes()
+
+
+@pytest.mark.parametrize("proposal", ["motion", "informed"])
+def test_threads_do_not_change_a_byte(proposal):
+    steps = worlds.drive(8, steps=8, alike=0.3)
+    one, two, three = (
+        run_filter(steps, worlds.settings(600, proposal=proposal, threads=n), 8)[0]
+        for n in (1, 2, 3)
+    )
+    for other in (two, three):
+        assert one.poses.tobytes() == other.poses.tobytes()
+        assert one.log_weight_sum.tobytes() == other.log_weight_sum.tobytes()
+        for m in (0, 299, 599):
+            mine, theirs = one.landmarks.of_particle(m), other.landmarks.of_particle(m)
+            assert mine[1].tobytes() == theirs[1].tobytes()
+
+
+@pytest.mark.parametrize("proposal", ["motion", "informed"])
+def test_exclusive_observations_never_share_a_landmark(proposal):
+    steps = worlds.drive(9, steps=12, robots=2, seen=12, alike=0.6)
+    free, exclusive = (
+        run_filter(steps, worlds.settings(300, proposal=proposal, exclusive=e), 9)[1]
+        for e in (False, True)
+    )
+
+    def shared(infos):
+        matches = [np.sort(f.matches, axis=0) for info in infos for f in info.frames]
+        return sum((np.diff(m, axis=0) == 0).sum() for m in matches)
+
+    assert shared(free) > 0
+    assert shared(exclusive) == 0
 
 
 def test_no_observations_leaves_the_motion_model_alone():

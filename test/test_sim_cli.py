@@ -90,7 +90,6 @@ def test_robots_passes_its_arguments_on(sim_world, monkeypatch):
 
 
 def test_robots_without_ros_says_what_is_missing(sim_world, monkeypatch):
-    monkeypatch.delitem(sys.modules, "sim_world.robots", raising=False)
     monkeypatch.setitem(sys.modules, "rclpy", None)
     assert "no module 'rclpy" in refused(sim_world("robots"))
 

@@ -26,6 +26,7 @@ from msg_defs.types import (
     Trajectory,
     Walls,
 )
+from msg_defs.wire import messages
 
 ROBOT = "robot_2"
 STAMP = 1_700_000_000_123_456_789
@@ -283,7 +284,7 @@ class TestFrames:
     def test_yaw_of_a_tilted_robot(self, yaw, pitch, roll, sign):
         def tilt(message):
             rotation = Rotation.from_euler("ZYX", [yaw, pitch, roll])
-            message.pose.pose.orientation = wire.Quaternion(*(sign * rotation.as_quat()))
+            message.pose.pose.orientation = messages.Quaternion(*(sign * rotation.as_quat()))
 
         data = changed(KINDS["pose"][0], ODOMETRY, tilt)
         assert wire.decode_pose(data, ROBOT).pose[2] == pytest.approx(yaw, abs=1e-12)
@@ -323,8 +324,8 @@ class TestMarkers:
     def test_one_line_and_colour_a_robot(self):
         paths = {"robot_1": trajectory(), "robot_2": trajectory(1), "robot_3": trajectory()}
         markers = self.markers(landmark_map(1), paths)
-        assert markers[0].action == wire.Marker.DELETEALL
-        lines = [m for m in markers if m.type == wire.Marker.LINE_STRIP]
+        assert markers[0].action == messages.Marker.DELETEALL
+        lines = [m for m in markers if m.type == messages.Marker.LINE_STRIP]
         assert [m.ns for m in lines] == ["path of robot_1", "path of robot_3"]
         assert [(p.x, p.y, p.z) for p in lines[0].points] == [
             (x, y, 0) for x, y, _ in trajectory().poses
@@ -353,13 +354,15 @@ def arranged(written, order, gap=0, byte_order="<", rows=1, row_gap=0, descripto
     data[:, :used] = points.view(np.uint8).reshape(rows, used)
     codes = {"f4": 7, "f8": 8, "u1": 2}
     described = [
-        wire.PointField(name, int(offset), codes[dtype[name].base.str[1:]], dtype[name].shape or 1)
+        messages.PointField(
+            name, int(offset), codes[dtype[name].base.str[1:]], dtype[name].shape or 1
+        )
         for name, offset in zip(order, offsets, strict=False)
     ]
     for field in described:
         field.count = int(np.prod(field.count))
-    header = wire.Header(wire.Time(*divmod(STAMP, 10**9)), CAMERA)
-    cloud = wire.PointCloud2(
+    header = messages.Header(messages.Time(*divmod(STAMP, 10**9)), CAMERA)
+    cloud = messages.PointCloud2(
         header,
         rows,
         len(points) // rows,

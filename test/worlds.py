@@ -14,7 +14,7 @@ def settings(particles: int = 12, **changes) -> FilterSettings:
     noise = MotionSettings(
         forward_per_sqrt_m=0.05, left_per_sqrt_m=0.03, yaw_per_sqrt_m=0.03, yaw_per_sqrt_rad=0.05
     )
-    paper = {"proposal": "motion", "resample_below": 1.0, "motion": noise}
+    paper = {"proposal": "motion", "resample_below": 1.0, "exclusive": False, "motion": noise}
     return FilterSettings(particles=particles, **paper | changes)
 
 

@@ -21,14 +21,42 @@ class Candidates(NamedTuple):
     """(C,) float32: E (19)."""
 
 
-def find_candidates(observed: np.ndarray, known: np.ndarray, threshold: float) -> Candidates:
+def field_of_search(
+    poses: np.ndarray, v: np.ndarray, noise: np.ndarray, gate: float, doubt: np.ndarray
+) -> np.ndarray:
+    """Box (x low, x high, y low, y high) outside of which no landmark can lie inside the gate.
+
+    Parameters
+    ----------
+    poses : (3, M) of the robot; v, noise : (B, 3), (B, 6) in `base_link`.
+    doubt : (2,) how far a pose may still move [m] and turn [rad].
+    """
+    yaw = poses[2].mean()
+    turn = np.abs(poses[2] - yaw).max() + doubt[1]
+    distance = np.hypot(v[:, 0], v[:, 1])
+    margin = np.sqrt(gate * (noise[:, 0] + noise[:, 3])) + distance * turn + doubt[0]
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    seen_x, seen_y = cos * v[:, 0] - sin * v[:, 1], sin * v[:, 0] + cos * v[:, 1]
+    return np.array(
+        [
+            poses[0].min() + (seen_x - margin).min(),
+            poses[0].max() + (seen_x + margin).max(),
+            poses[1].min() + (seen_y - margin).min(),
+            poses[1].max() + (seen_y + margin).max(),
+        ]
+    )
+
+
+def find_candidates(
+    observed: np.ndarray, known: np.ndarray, known_columns: np.ndarray, threshold: float
+) -> Candidates:
     """All pairs with E <= `threshold` (E_0).
 
     Parameters
     ----------
     observed : (B, 128) descriptors of one robot's observations. Each may also match the landmark
         that an earlier one creates.
-    known : (N, 128) descriptor of each landmark column.
+    known : (N, 128) descriptors of the landmarks in `known_columns` (N,), ascending.
 
     """
     count = len(observed)
@@ -40,8 +68,8 @@ def find_candidates(observed: np.ndarray, known: np.ndarray, threshold: float) -
     order = np.lexsort((distance[rows, columns], rows))
     rows, columns = rows[order], columns[order]
     starts = np.searchsorted(rows, np.arange(count + 1)).astype(np.int32)
-    signed = np.where(columns < len(known), columns, len(known) - 1 - columns)
-    return Candidates(starts, signed.astype(np.int32), distance[rows, columns])
+    signed = np.concatenate([known_columns, -1 - np.arange(count)]).astype(np.int32)
+    return Candidates(starts, signed[columns], distance[rows, columns])
 
 
 def squared_distances(a: np.ndarray, b: np.ndarray) -> np.ndarray:

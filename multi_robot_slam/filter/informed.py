@@ -25,11 +25,16 @@ from multi_robot_slam.filter.kernels import (
     FLOAT_RULES,
     SIN,
     SQUARED,
+    TAKEN,
     UNMATCHED,
     X,
     Y,
+    count_equal,
     create,
-    make_absent,
+    fetch,
+    put,
+    replace,
+    set_taken_aside,
     update,
     weigh_new,
 )
@@ -43,12 +48,27 @@ NO_GATE = 1e30
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FLOAT_RULES)
 def associate_and_believe(
-    planes, starts, columns, poses, spread, v, noise, gate, beliefs, matches, squared, dets
+    first,
+    last,
+    planes,
+    starts,
+    columns,
+    poses,
+    spread,
+    v,
+    noise,
+    gate,
+    exclusive,
+    beliefs,
+    matches,
+    squared,
+    dets,
 ):
     """Match each observation to a landmark and update each particle's belief about the pose.
 
     Parameters
     ----------
+    first, last : the particles to handle, multiples of BLOCK or the number of particles.
     poses : (4, M) cos yaw, sin yaw, x, y of the predicted pose x_bar.
     spread : (4,) covariance xx xy yy of the motion and variance of its yaw, in the predicted body.
     beliefs : (9, M), out: change of x, y, yaw against x_bar; covariance xx xy xt yy yt tt.
@@ -58,8 +78,8 @@ def associate_and_believe(
     """
     local = np.zeros((13, BLOCK), planes.dtype)
     found = np.empty(BLOCK, np.int32)
-    for low in range(0, planes.shape[2], BLOCK):
-        high = min(low + BLOCK, planes.shape[2])
+    for low in range(first, last, BLOCK):
+        high = min(low + BLOCK, last)
         count = high - low
         load(poses[:, low:high], spread, local)
         for b in range(len(v)):
@@ -68,8 +88,12 @@ def associate_and_believe(
                 column = columns[i]
                 if column < 0:
                     continue
-                believe(planes[column, :, low:high], column, local, found, v[b], noise[b], gate)
-                if np.sum(found[:count] == UNMATCHED) == 0:
+                if exclusive:
+                    set_taken_aside(column, column, starts, columns, b, matches, low, count, found)
+                believe(planes[column], low, high, column, local, found, v[b], noise[b], gate)
+                if exclusive:
+                    replace(found, count, TAKEN, UNMATCHED)
+                if count_equal(found, count, UNMATCHED) == 0:
                     break
             for m in range(count):
                 matches[b, low + m] = found[m]
@@ -102,18 +126,18 @@ def load(poses, spread, local):
         local[P_TT, m] = yaw
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FLOAT_RULES)
-def believe(landmark, column, local, found, v, noise, gate):
+@njit(inline="always", cache=True, nogil=True, error_model="numpy", fastmath=FLOAT_RULES)
+def believe(landmark, low, high, column, local, found, v, noise, gate):
     """Update the beliefs of a block where `landmark` lies inside the gate and nothing else did."""
-    mean_x, mean_y, mean_z = landmark[0], landmark[1], landmark[2]
-    cov_xx, cov_xy, cov_xz = landmark[3], landmark[4], landmark[5]
-    cov_yy, cov_yz, cov_zz = landmark[6], landmark[7], landmark[8]
+    mean_x, mean_y, mean_z = landmark[0, low:high], landmark[1, low:high], landmark[2, low:high]
+    cov_xx, cov_xy, cov_xz = landmark[3, low:high], landmark[4, low:high], landmark[5, low:high]
+    cov_yy, cov_yz, cov_zz = landmark[6, low:high], landmark[7, low:high], landmark[8, low:high]
     number = landmark.dtype.type
     one, half, sixth = number(1), number(1 / 2), number(1 / 6)
     twentieth, twelfth = number(1 / 20), number(1 / 12)
     index = np.int32(column)
     n_xx, n_xy, n_xz, n_yy, n_yz, r_zz = noise[0], noise[1], noise[2], noise[3], noise[4], noise[5]
-    for m in range(landmark.shape[1]):
+    for m in range(mean_x.size):
         c, s = local[COS, m], local[SIN, m]
         cc, ss, cs = c * c, s * s, c * s
         r_xx = cc * n_xx - (cs + cs) * n_xy + ss * n_yy
@@ -202,6 +226,8 @@ def draw(poses, beliefs, normals):
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FLOAT_RULES)
 def update_matched(
+    first,
+    last,
     planes,
     starts,
     columns,
@@ -213,7 +239,6 @@ def update_matched(
     matches,
     squared,
     dets,
-    created,
 ):
     """Update the matched landmarks and create the new ones, as seen from the drawn poses.
 
@@ -221,36 +246,33 @@ def update_matched(
     `squared`, `dets` what `associate_and_believe` found; where it found nothing they become those
     of the new landmark.
     """
-    created[:] = 0
-    local = np.zeros((6, BLOCK), planes.dtype)
+    local = np.zeros((15, BLOCK), planes.dtype)
     found = np.empty(BLOCK, np.int32)
-    for low in range(0, planes.shape[2], BLOCK):
-        high = min(low + BLOCK, planes.shape[2])
+    for low in range(first, last, BLOCK):
+        high = min(low + BLOCK, last)
         count = high - low
         for row in range(4):
             for m in range(count):
                 local[row, m] = poses[row, low + m]
         for b in range(len(v)):
             found[:count] = matches[b, low:high]
-            left = count - np.sum(found[:count] == UNMATCHED)
-            created[b] += count - left
+            unmatched = count_equal(found, count, UNMATCHED)
+            left = count - unmatched
             for i in range(starts[b], starts[b + 1]):
                 if left == 0:
                     break
                 column = columns[i]
-                mine = np.sum(found[:count] == column)
+                mine = count_equal(found, count, column)
                 if mine > 0:
-                    landmark = planes[column, :, low:high]
-                    update(landmark, column, column, local, found, v[b], noise[b], NO_GATE)
+                    fetch(planes[column], low, count, local)
+                    update(column, column, local, found, count, v[b], noise[b], NO_GATE)
+                    put(planes[column], low, count, local)
                     left -= mine
-            if np.any(found[:count] == UNMATCHED):
+            if unmatched > 0:
                 local[SQUARED, :count] = squared[b, low:high]
                 local[DETERMINANT, :count] = dets[b, low:high]
-                create(planes[new_columns[b], :, low:high], local, v[b], noise[b])
+                create(planes[new_columns[b]], low, high, local, found, v[b], noise[b])
                 weigh_new(new_columns[b], local, found, count, noise[b], gate)
                 matches[b, low:high] = found[:count]
                 squared[b, low:high] = local[SQUARED, :count]
                 dets[b, low:high] = local[DETERMINANT, :count]
-    for b in range(len(v)):
-        if created[b] > 0:
-            make_absent(planes[new_columns[b]], matches[b], new_columns[b])

@@ -21,15 +21,23 @@ FAR = 1e9
 UNMATCHED = -1
 """Match of an observation that has found no landmark yet."""
 
+TAKEN = -2
+"""The same, while a landmark is tried that an earlier observation of the frame has claimed."""
+
 FLOAT_RULES = {"contract", "reassoc", "arcp", "nsz", "afn"}
 """What the compiler may reorder. NaN and infinity keep their meaning."""
 
 COS, SIN, X, Y, SQUARED, DETERMINANT = range(6)
 """Rows of a block: pose of the robot, D (18) and |Z| (16) of the match."""
 
+MEAN_X, MEAN_Y, MEAN_Z, COV_XX, COV_XY, COV_XZ, COV_YY, COV_YZ, COV_ZZ = range(6, 15)
+"""Further rows of a block: the planes of the landmark at hand."""
+
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FLOAT_RULES)
 def associate_and_update(
+    first,
+    last,
     planes,
     starts,
     columns,
@@ -38,32 +46,34 @@ def associate_and_update(
     v,
     noise,
     gate,
+    exclusive,
     matches,
     squared,
     determinants,
-    created,
 ):
-    """Algorithm 1, lines 15-38, for one robot's frame and every particle.
+    """Algorithm 1, lines 15-38, for one robot's frame and particles first .. last - 1.
+
+    `complete_new` must follow when all particles are done.
 
     Parameters
     ----------
+    first, last : multiples of BLOCK, or the number of particles.
     planes : (N, 9, M) landmarks, updated in place.
     starts, columns : candidates of each observation, see `association.Candidates`.
     new_columns : (B,) column to create where no candidate lies inside the gate.
     poses : (4, M) cos yaw, sin yaw, x, y of the robot.
     v, noise : (B, 3), (B, 6) observations and their covariance R in `base_link`.
     gate : D_0.
+    exclusive : whether an observation may not claim what an earlier one of the frame has claimed.
     matches : (B, M) int32, out: column that was updated or created.
     squared : (B, M), out: D (18) of the match; D_0 for a new landmark.
     determinants : (B, M), out: |Z| (16) of the match; |R| for a new landmark.
-    created : (B,) int32, out: in how many particles observation b created its column.
     """
-    created[:] = 0
-    local = np.zeros((6, BLOCK), planes.dtype)
+    local = np.zeros((15, BLOCK), planes.dtype)
     found = np.empty(BLOCK, np.int32)
     is_new = np.empty(len(v), np.bool_)
-    for low in range(0, planes.shape[2], BLOCK):
-        high = min(low + BLOCK, planes.shape[2])
+    for low in range(first, last, BLOCK):
+        high = min(low + BLOCK, last)
         count = high - low
         for row in range(4):
             for m in range(count):
@@ -77,47 +87,91 @@ def associate_and_update(
                     if not is_new[-1 - column]:
                         continue
                     column = new_columns[-1 - column]
-                landmark = planes[column, :, low:high]
-                update(landmark, UNMATCHED, column, local, found, v[b], noise[b], gate)
-                unmatched = np.sum(found[:count] == UNMATCHED)
+                if exclusive:
+                    set_taken_aside(
+                        columns[i], column, starts, columns, b, matches, low, count, found
+                    )
+                fetch(planes[column], low, count, local)
+                update(UNMATCHED, column, local, found, count, v[b], noise[b], gate)
+                put(planes[column], low, count, local)
+                if exclusive:
+                    replace(found, count, TAKEN, UNMATCHED)
+                unmatched = count_equal(found, count, UNMATCHED)
                 if unmatched == 0:
                     break
             is_new[b] = unmatched > 0
             if is_new[b]:
-                create(planes[new_columns[b], :, low:high], local, v[b], noise[b])
+                create(planes[new_columns[b]], low, high, local, found, v[b], noise[b])
                 weigh_new(new_columns[b], local, found, count, noise[b], gate)
-                make_absent(planes[new_columns[b], :, low:high], found, new_columns[b])
-            created[b] += unmatched
             for m in range(count):
                 matches[b, low + m] = found[m]
                 squared[b, low + m] = local[SQUARED, m]
                 determinants[b, low + m] = local[DETERMINANT, m]
-    for b in range(len(v)):  # also in the blocks that did not create it
-        if created[b] > 0:
-            make_absent(planes[new_columns[b]], matches[b], new_columns[b])
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FLOAT_RULES)
-def update(landmark, wanted, column, local, found, v, noise, gate):
-    """Update one landmark in the particles whose match is `wanted` and that find it in the gate.
+@njit(cache=True, nogil=True)
+def count_equal(found, count, value):
+    """How many of the first `count` matches are `value`."""
+    total = 0
+    for m in range(count):
+        total += np.int32(found[m] == value)
+    return total
+
+
+@njit(cache=True, nogil=True)
+def replace(found, count, old, new):
+    """Replace `old` by `new` among the first `count` matches."""
+    for m in range(count):
+        if found[m] == old:
+            found[m] = new
+
+
+@njit(cache=True, nogil=True)
+def set_taken_aside(candidate, column, starts, columns, b, matches, low, count, found):
+    """Mark as TAKEN where an observation before `b` has claimed `column`.
+
+    Only those come into question that have `candidate` on their list, or create it.
+    """
+    for earlier in range(b):
+        if candidate == -1 - earlier or candidate in columns[starts[earlier] : starts[earlier + 1]]:
+            for m in range(count):
+                if found[m] == UNMATCHED and matches[earlier, low + m] == column:
+                    found[m] = TAKEN
+
+
+@njit(cache=True, nogil=True)
+def fetch(landmark, low, count, local):
+    """Copy a block of a landmark's planes (9, M) to `local`."""
+    for k in range(PLANES):
+        for m in range(count):
+            local[MEAN_X + k, m] = landmark[k, low + m]
+
+
+@njit(cache=True, nogil=True)
+def put(landmark, low, count, local):
+    """Copy a block of a landmark's planes back."""
+    for k in range(PLANES):
+        for m in range(count):
+            landmark[k, low + m] = local[MEAN_X + k, m]
+
+
+@njit(inline="always", cache=True, nogil=True, error_model="numpy", fastmath=FLOAT_RULES)
+def update(wanted, column, local, found, count, v, noise, gate):
+    """Update the landmark at hand where the match is `wanted` and the gate lets it through.
 
     Kalman update (8)-(13) in the map frame, where G = I:  K = Sigma Z^-1,  mu += K nu,  and (13)
     as (I - K) Sigma = K (Z - Sigma) = K R, which loses no digits where R is small.
 
     Parameters
     ----------
-    landmark : (9, count) planes of the block; column : its number, written to `found`.
-    local : (6, BLOCK) rows COS .. DETERMINANT; the last two are written where it is updated.
-    found : (BLOCK,) int32 match of each particle.
+    column : number of the landmark, written to `found`, the (BLOCK,) int32 match of each particle.
+    local : (15, BLOCK) rows COS .. COV_ZZ.
     """
-    mean_x, mean_y, mean_z = landmark[0], landmark[1], landmark[2]
-    cov_xx, cov_xy, cov_xz = landmark[3], landmark[4], landmark[5]
-    cov_yy, cov_yz, cov_zz = landmark[6], landmark[7], landmark[8]
-    number = landmark.dtype.type
+    number = local.dtype.type
     one = number(1)
     index = np.int32(column)
     n_xx, n_xy, n_xz, n_yy, n_yz, r_zz = noise[0], noise[1], noise[2], noise[3], noise[4], noise[5]
-    for m in range(landmark.shape[1]):
+    for m in range(count):
         c, s = local[COS, m], local[SIN, m]
         cc, ss, cs = c * c, s * s, c * s
         r_xx = cc * n_xx - (cs + cs) * n_xy + ss * n_yy
@@ -126,12 +180,12 @@ def update(landmark, wanted, column, local, found, v, noise, gate):
         r_yy = ss * n_xx + (cs + cs) * n_xy + cc * n_yy
         r_yz = s * n_xz + c * n_yz
 
-        x, y, z = mean_x[m], mean_y[m], mean_z[m]
+        x, y, z = local[MEAN_X, m], local[MEAN_Y, m], local[MEAN_Z, m]
         nu_x = local[X, m] + c * v[0] - s * v[1] - x  # (8), (12)
         nu_y = local[Y, m] + s * v[0] + c * v[1] - y
         nu_z = v[2] - z
-        p_xx, p_xy, p_xz = cov_xx[m], cov_xy[m], cov_xz[m]
-        p_yy, p_yz, p_zz = cov_yy[m], cov_yz[m], cov_zz[m]
+        p_xx, p_xy, p_xz = local[COV_XX, m], local[COV_XY, m], local[COV_XZ, m]
+        p_yy, p_yz, p_zz = local[COV_YY, m], local[COV_YZ, m], local[COV_ZZ, m]
         z_xx, z_xy, z_xz = p_xx + r_xx, p_xy + r_xy, p_xz + r_xz  # (10)
         z_yy, z_yz, z_zz = p_yy + r_yy, p_yz + r_yz, p_zz + r_zz
 
@@ -164,46 +218,66 @@ def update(landmark, wanted, column, local, found, v, noise, gate):
         k_zy = p_xz * i_xy + p_yz * i_yy + p_zz * i_yz
         k_zz = p_xz * i_xz + p_yz * i_yz + p_zz * i_zz
 
-        mean_x[m] = x + keep * (p_xx * w_x + p_xy * w_y + p_xz * w_z)  # (12)
-        mean_y[m] = y + keep * (p_xy * w_x + p_yy * w_y + p_yz * w_z)
-        mean_z[m] = z + keep * (p_xz * w_x + p_yz * w_y + p_zz * w_z)
-        cov_xx[m] = rest * p_xx + keep * (k_xx * r_xx + k_xy * r_xy + k_xz * r_xz)  # (13)
-        cov_xy[m] = rest * p_xy + keep * (k_xx * r_xy + k_xy * r_yy + k_xz * r_yz)
-        cov_xz[m] = rest * p_xz + keep * (k_xx * r_xz + k_xy * r_yz + k_xz * r_zz)
-        cov_yy[m] = rest * p_yy + keep * (k_yx * r_xy + k_yy * r_yy + k_yz * r_yz)
-        cov_yz[m] = rest * p_yz + keep * (k_yx * r_xz + k_yy * r_yz + k_yz * r_zz)
-        cov_zz[m] = rest * p_zz + keep * (k_zx * r_xz + k_zy * r_yz + k_zz * r_zz)
+        local[MEAN_X, m] = x + keep * (p_xx * w_x + p_xy * w_y + p_xz * w_z)  # (12)
+        local[MEAN_Y, m] = y + keep * (p_xy * w_x + p_yy * w_y + p_yz * w_z)
+        local[MEAN_Z, m] = z + keep * (p_xz * w_x + p_yz * w_y + p_zz * w_z)
+        local[COV_XX, m] = rest * p_xx + keep * (k_xx * r_xx + k_xy * r_xy + k_xz * r_xz)  # (13)
+        local[COV_XY, m] = rest * p_xy + keep * (k_xx * r_xy + k_xy * r_yy + k_xz * r_yz)
+        local[COV_XZ, m] = rest * p_xz + keep * (k_xx * r_xz + k_xy * r_yz + k_xz * r_zz)
+        local[COV_YY, m] = rest * p_yy + keep * (k_yx * r_xy + k_yy * r_yy + k_yz * r_yz)
+        local[COV_YZ, m] = rest * p_yz + keep * (k_yx * r_xz + k_yy * r_yz + k_yz * r_zz)
+        local[COV_ZZ, m] = rest * p_zz + keep * (k_zx * r_xz + k_zy * r_yz + k_zz * r_zz)
         local[SQUARED, m] = rest * local[SQUARED, m] + keep * distance
         local[DETERMINANT, m] = rest * local[DETERMINANT, m] + keep * det
         found[m] = match + hit * (index - match)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FLOAT_RULES)
-def create(landmark, local, v, noise):
-    """Create a landmark in every particle of a block: Algorithm 1, lines 30 and 31."""
-    n_xx, n_xy, n_xz, n_yy, n_yz = noise[0], noise[1], noise[2], noise[3], noise[4]
-    for m in range(landmark.shape[1]):
+def create(landmark, low, high, local, found, v, noise):
+    """Create a landmark in the particles without a match: Algorithm 1, lines 30 and 31.
+
+    The others of the block get one that is FAR away.
+    """
+    mean_x, mean_y, mean_z = landmark[0, low:high], landmark[1, low:high], landmark[2, low:high]
+    cov_xx, cov_xy, cov_xz = landmark[3, low:high], landmark[4, low:high], landmark[5, low:high]
+    cov_yy, cov_yz, cov_zz = landmark[6, low:high], landmark[7, low:high], landmark[8, low:high]
+    number = local.dtype.type
+    n_xx, n_xy, n_xz, n_yy, n_yz, r_zz = noise[0], noise[1], noise[2], noise[3], noise[4], noise[5]
+    for m in range(mean_x.size):
         c, s = local[COS, m], local[SIN, m]
         cc, ss, cs = c * c, s * s, c * s
-        landmark[0, m] = local[X, m] + c * v[0] - s * v[1]  # g^-1(x, v)
-        landmark[1, m] = local[Y, m] + s * v[0] + c * v[1]
-        landmark[2, m] = v[2]
-        landmark[3, m] = cc * n_xx - (cs + cs) * n_xy + ss * n_yy  # (G^T R^-1 G)^-1
-        landmark[4, m] = cs * (n_xx - n_yy) + (cc - ss) * n_xy
-        landmark[5, m] = c * n_xz - s * n_yz
-        landmark[6, m] = ss * n_xx + (cs + cs) * n_xy + cc * n_yy
-        landmark[7, m] = s * n_xz + c * n_yz
-        landmark[8, m] = noise[5]
+        away = number(np.int32(found[m] != UNMATCHED)) * number(FAR)
+        mean_x[m] = local[X, m] + c * v[0] - s * v[1] + away  # g^-1(x, v)
+        mean_y[m] = local[Y, m] + s * v[0] + c * v[1]
+        mean_z[m] = v[2]
+        cov_xx[m] = cc * n_xx - (cs + cs) * n_xy + ss * n_yy  # (G^T R^-1 G)^-1
+        cov_xy[m] = cs * (n_xx - n_yy) + (cc - ss) * n_xy
+        cov_xz[m] = c * n_xz - s * n_yz
+        cov_yy[m] = ss * n_xx + (cs + cs) * n_xy + cc * n_yy
+        cov_yz[m] = s * n_xz + c * n_yz
+        cov_zz[m] = r_zz
 
 
 @njit(cache=True, nogil=True)
-def make_absent(landmark, matches, column):
-    """Take a new landmark away from the particles that did not match `column`."""
-    for m in range(landmark.shape[1]):
-        if matches[m] != column:
-            landmark[:, m] = 0
-            landmark[0, m] = FAR
-            landmark[3, m] = landmark[6, m] = landmark[8, m] = 1
+def complete_new(planes, new_columns, matches):
+    """Count the particles (B,) int32 that created each column; take it from all other blocks."""
+    particles = planes.shape[2]
+    created = np.zeros(new_columns.size, np.int32)
+    for b in range(new_columns.size):
+        column = new_columns[b]
+        created[b] = count_equal(matches[b], particles, column)
+        if created[b] == 0:
+            continue
+        landmark = planes[column]
+        for low in range(0, particles, BLOCK):
+            high = min(low + BLOCK, particles)
+            if count_equal(matches[b, low:high], high - low, column) == 0:
+                landmark[:, low:high] = 0
+                landmark[0, low:high] = FAR
+                landmark[3, low:high] = 1
+                landmark[6, low:high] = 1
+                landmark[8, low:high] = 1
+    return created
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FLOAT_RULES)
@@ -242,10 +316,13 @@ def log_likelihood(squared, determinants):
 
 
 @njit(cache=True, nogil=True)
-def gather(planes, columns, rows, generations):
-    """Bring columns up to date: in columns[i], particle m takes row rows[generations[i], m]."""
+def gather(first, last, planes, columns, rows, generations):
+    """Bring columns[first:last] up to date.
+
+    In columns[i] particle m takes the place of particle rows[generations[i], m].
+    """
     copy = np.empty(planes.shape[2], planes.dtype)
-    for i in range(columns.size):
+    for i in range(first, last):
         ancestors = rows[generations[i]]
         for k in range(PLANES):
             plane = planes[columns[i], k]
@@ -280,3 +357,27 @@ def count_owners(planes, columns, rows, generations):
         for m in range(ancestors.size):
             owners[i] += mean_x[ancestors[m]] < 0.5 * FAR
     return owners
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def bound(planes, columns, reach, boxes):
+    """Where an innovation of zero noise may lie in the gate: boxes[columns], for all particles.
+
+    Inside the gate |nu_x| <= sqrt(D_0 Z_xx) <= sqrt(D_0 Sigma_xx) + sqrt(D_0 R_xx), and so for y.
+    A box (x low, x high, y low, y high) holds every particle's mean +- `reach` sqrt(Sigma), with
+    `reach` = sqrt(D_0). A landmark that some particle does not have has a box without end.
+    """
+    for column in columns:
+        x_low = y_low = np.inf
+        x_high = y_high = xx = yy = -np.inf
+        mean_x, mean_y = planes[column, 0], planes[column, 1]
+        cov_xx, cov_yy = planes[column, 3], planes[column, 6]
+        for m in range(mean_x.size):
+            x_low, x_high = min(x_low, mean_x[m]), max(x_high, mean_x[m])
+            y_low, y_high = min(y_low, mean_y[m]), max(y_high, mean_y[m])
+            xx, yy = max(xx, cov_xx[m]), max(yy, cov_yy[m])
+        x_margin, y_margin = reach * np.sqrt(xx), reach * np.sqrt(yy)
+        boxes[column, 0], boxes[column, 1] = x_low - x_margin, x_high + x_margin
+        boxes[column, 2], boxes[column, 3] = y_low - y_margin, y_high + y_margin
+        if x_high > 0.5 * FAR:
+            boxes[column] = np.array([-1.0, 1.0, -1.0, 1.0]) * FAR

@@ -9,13 +9,13 @@ generation, and the column is gathered only when it is next observed.
 import numpy as np
 
 from msg_defs.types import DESCRIPTOR_SIZE
-from multi_robot_slam.filter import kernels
+from multi_robot_slam.filter import kernels, parallel
 
 FREE = -1
 """Id of a column that holds no landmark."""
 
-UNLIKE = 1e3
-"""Descriptor elements of a free column: further than any threshold from every observation."""
+ROOM = 2**27
+"""Bytes of planes to set aside at the start; what is not written takes no memory."""
 
 
 class Landmarks:
@@ -25,13 +25,17 @@ class Landmarks:
     ----------
     planes : (N, 9, M) mean x y z [m] and covariance xx xy xz yy yz zz [m^2], in `map`.
     descriptors : (N, 128) float32.
+    boxes : (N, 4) float64: x low, x high, y low, y high, see `kernels.bound`.
     ids : (N,) int32, ascending in the order of creation; FREE where the column is unused.
 
     """
 
-    def __init__(self, particles: int, dtype: type = np.float32, capacity: int = 64):
+    def __init__(self, particles: int, dtype: type = np.float32, capacity: int | None = None):
+        if capacity is None:
+            capacity = int(np.clip(ROOM / (kernels.PLANES * 4 * particles), 16, 1024))
         self.planes = np.empty((capacity, kernels.PLANES, particles), dtype)
-        self.descriptors = np.full((capacity, DESCRIPTOR_SIZE), UNLIKE, np.float32)
+        self.descriptors = np.empty((capacity, DESCRIPTOR_SIZE), np.float32)
+        self.boxes = np.empty((capacity, 4))
         self.ids = np.full(capacity, FREE, np.int32)
         self.top = 0
         self._next_id = 0
@@ -59,16 +63,30 @@ class Landmarks:
         self._partial[columns] = created < self.planes.shape[2]
         self._release(columns[created == 0])
 
-    def bring_up_to_date(self, columns: np.ndarray) -> None:
+    def near(self, box: np.ndarray) -> np.ndarray:
+        """Columns whose box meets `box` (4,), ascending; no other can lie inside the gate."""
+        boxes = self.boxes[: self.top]
+        meets = (boxes[:, 0] <= box[1]) & (boxes[:, 1] >= box[0])
+        meets &= (boxes[:, 2] <= box[3]) & (boxes[:, 3] >= box[2])
+        return np.flatnonzero(meets & (self.ids[: self.top] != FREE))
+
+    def bound(self, columns: np.ndarray, gate: float) -> None:
+        """Measure the boxes of `columns`, which must be up to date, for the gate D_0."""
+        kernels.bound(self.planes, columns, np.sqrt(gate), self.boxes)
+
+    def bring_up_to_date(self, columns: np.ndarray, threads: int = 1) -> None:
         """Gather the planes of `columns` (distinct) written before the last resampling."""
         stale = columns[self._generations[columns] != self._current]
-        kernels.gather(self.planes, stale, self._rows, self._generations[stale])
+        generations = self._generations[stale]
+        parallel.over(
+            kernels.gather, len(stale), 1, threads, self.planes, stale, self._rows, generations
+        )
         self._generations[stale] = self._current
 
     def resample(self, ancestors: np.ndarray) -> None:
         """Particle m continues as particle ancestors[m] (ascending); no plane is copied."""
         alive = self.alive()
-        used = np.unique(self._generations[alive])
+        used = np.flatnonzero(np.bincount(self._generations[alive]))
         kernels.compose(self._rows, used, ancestors)
         self._release_unowned(alive[self._partial[alive]])
         if self._current in used:
@@ -93,22 +111,21 @@ class Landmarks:
 
     def _release(self, columns: np.ndarray) -> None:
         self.ids[columns] = FREE
-        self.descriptors[columns] = UNLIKE
         self._partial[columns] = False
 
     def _open_generation(self, used: np.ndarray) -> None:
-        unused = np.setdiff1d(np.arange(len(self._rows)), used, assume_unique=True)
-        if len(unused) == 0:
-            unused = [len(self._rows)]
+        is_used = np.zeros(len(self._rows) + 1, bool)
+        is_used[used] = True
+        self._current = int(np.argmin(is_used))
+        if self._current == len(self._rows):
             self._rows = _enlarged(self._rows)
-        self._current = unused[0]
         self._rows[self._current] = np.arange(self._rows.shape[1])
 
     def _grow(self) -> None:
         old = len(self.ids)
         self.planes = _enlarged(self.planes)
         self.descriptors = _enlarged(self.descriptors)
-        self.descriptors[old:] = UNLIKE
+        self.boxes = _enlarged(self.boxes)
         self.ids = _enlarged(self.ids)
         self.ids[old:] = FREE
         self._partial = _enlarged(self._partial)
@@ -116,7 +133,7 @@ class Landmarks:
 
 
 def _enlarged(array: np.ndarray) -> np.ndarray:
-    """`array` at the head of an array with twice the rows; the rest is not touched."""
-    larger = np.empty((2 * len(array), *array.shape[1:]), array.dtype)
+    """`array` at the head of an array with half as many rows again; the rest is not touched."""
+    larger = np.empty((len(array) * 3 // 2 + 1, *array.shape[1:]), array.dtype)
     larger[: len(array)] = array
     return larger

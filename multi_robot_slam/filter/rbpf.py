@@ -1,5 +1,6 @@
 """Algorithm 1: one particle set over the poses of K robots, each with a map of small EKFs."""
 
+import os
 from dataclasses import dataclass, field
 from typing import Annotated, Literal, NamedTuple
 
@@ -13,10 +14,24 @@ from msg_defs.types import (
     RobotFrame,
     settings,
 )
-from multi_robot_slam.filter import association, informed, kernels, motion, resampling, stereo
+from multi_robot_slam.filter import (
+    association,
+    informed,
+    kernels,
+    motion,
+    parallel,
+    resampling,
+    stereo,
+)
 from multi_robot_slam.filter.history import History
 from multi_robot_slam.filter.landmarks import Landmarks
 from multi_robot_slam.filter.motion import MotionSettings
+
+WORTH_A_THREAD = 2048
+"""Particles that make a second thread pay."""
+
+MANY_SIGMA = 10.0
+"""No belief moves a pose further from its prediction."""
 
 
 @settings
@@ -34,6 +49,12 @@ class FilterSettings:
     proposal: Annotated[
         Literal["motion", "informed"], "motion: the paper's (7); informed: knows the observations"
     ] = "informed"
+    exclusive: Annotated[
+        bool, "whether two observations of one frame may not be the same landmark"
+    ] = True
+    threads: Annotated[
+        int, Interval(ge=0, le=256), "threads of the filter; 0 chooses; no effect on results"
+    ] = 0
     motion: MotionSettings = field(default_factory=MotionSettings)
 
 
@@ -137,8 +158,11 @@ def propose_by_motion(
     sigma = motion.standard_deviations(frame.motion, settings.motion)
     noise = sigma[:, None] * rng.standard_normal(poses.shape)
     motion.move(poses, frame.motion[:, None] + noise)
-    work = _open(state, frame, settings, mount)
-    kernels.associate_and_update(
+    work = _open(state, frame, settings, mount, doubt=np.zeros(2))
+    parallel.over_particles(
+        kernels.associate_and_update,
+        settings.particles,
+        threads(settings),
         state.landmarks.planes,
         work.candidates.starts,
         work.candidates.columns,
@@ -147,12 +171,12 @@ def propose_by_motion(
         work.v,
         work.noise,
         work.v.dtype.type(settings.gate),
+        settings.exclusive,
         work.matches,
         work.squared,
         work.determinants,
-        work.created,
     )
-    return _close(state, frame, work)
+    return _close(state, frame, settings, work)
 
 
 def propose_informed(
@@ -165,25 +189,34 @@ def propose_informed(
     """Match first, then draw the pose from what motion and matches say, then update."""
     poses = state.poses[frame.robot]
     motion.move(poses, frame.motion[:, None])
-    work = _open(state, frame, settings, mount)
+    spread = motion.spread(frame.motion, settings.motion)
+    doubt = MANY_SIGMA * np.sqrt([spread[0] + spread[2], spread[3]])
+    work = _open(state, frame, settings, mount, doubt)
     beliefs = np.empty((9, settings.particles), work.v.dtype)
     gate = work.v.dtype.type(settings.gate)
-    informed.associate_and_believe(
+    parallel.over_particles(
+        informed.associate_and_believe,
+        settings.particles,
+        threads(settings),
         state.landmarks.planes,
         work.candidates.starts,
         work.candidates.columns,
         _as_seen(poses, work.v.dtype),
-        motion.spread(frame.motion, settings.motion).astype(work.v.dtype),
+        spread.astype(work.v.dtype),
         work.v,
         work.noise,
         gate,
+        settings.exclusive,
         beliefs,
         work.matches,
         work.squared,
         work.determinants,
     )
     informed.draw(poses, beliefs, rng.standard_normal(poses.shape))
-    informed.update_matched(
+    parallel.over_particles(
+        informed.update_matched,
+        settings.particles,
+        threads(settings),
         state.landmarks.planes,
         work.candidates.starts,
         work.candidates.columns,
@@ -195,9 +228,8 @@ def propose_informed(
         work.matches,
         work.squared,
         work.determinants,
-        work.created,
     )
-    return _close(state, frame, work)
+    return _close(state, frame, settings, work)
 
 
 PROPOSALS = {"motion": propose_by_motion, "informed": propose_informed}
@@ -209,43 +241,61 @@ class _Work(NamedTuple):
     v: np.ndarray
     noise: np.ndarray
     candidates: association.Candidates
+    touched: np.ndarray
+    """Landmark columns among the candidates, each once."""
     new_columns: np.ndarray
     new_ids: np.ndarray
     matches: np.ndarray
     squared: np.ndarray
     determinants: np.ndarray
-    created: np.ndarray
 
 
-def _open(state: State, frame: RobotFrame, settings: FilterSettings, mount: CameraMount) -> _Work:
-    """Find the candidates (19) of a frame and bring them up to date."""
+def _open(
+    state: State,
+    frame: RobotFrame,
+    settings: FilterSettings,
+    mount: CameraMount,
+    doubt: np.ndarray,
+) -> _Work:
+    """Find the candidates (18), (19) of a frame and bring them up to date.
+
+    `doubt` (2,): how far each pose may still move [m] and turn [rad] before the gate is tried.
+    """
     landmarks, seen = state.landmarks, frame.observations
     count, dtype = len(seen.positions), landmarks.planes.dtype
-    candidates = association.find_candidates(
-        seen.descriptors, landmarks.descriptors[: landmarks.top], settings.descriptor_gate
-    )
-    landmarks.bring_up_to_date(np.unique(candidates.columns[candidates.columns >= 0]))
-    new_columns = landmarks.reserve(count)
     v, noise = stereo.to_body(seen.positions, seen.covariances, mount)
+    near = np.empty(0, int)
+    if count:
+        poses = state.poses[frame.robot]
+        near = landmarks.near(association.field_of_search(poses, v, noise, settings.gate, doubt))
+    candidates = association.find_candidates(
+        seen.descriptors, landmarks.descriptors[near], near, settings.descriptor_gate
+    )
+    touched = np.unique(candidates.columns[candidates.columns >= 0])
+    landmarks.bring_up_to_date(touched, threads(settings))
+    new_columns = landmarks.reserve(count)
     return _Work(
         v.astype(dtype),
         noise.astype(dtype),
         candidates,
+        touched,
         new_columns,
         landmarks.ids[new_columns],
         np.empty((count, settings.particles), np.int32),
         np.empty((count, settings.particles), dtype),
         np.empty((count, settings.particles), dtype),
-        np.empty(count, np.int32),
     )
 
 
-def _close(state: State, frame: RobotFrame, work: _Work) -> FrameInfo:
+def _close(state: State, frame: RobotFrame, settings: FilterSettings, work: _Work) -> FrameInfo:
     """Keep the landmarks that were created, and weigh (16)."""
     landmarks = state.landmarks
     ids = landmarks.ids[work.matches]
-    candidate_ids = np.concatenate([landmarks.ids, work.new_ids[::-1]])[work.candidates.columns]
-    landmarks.settle(work.new_columns, work.created, frame.observations.descriptors)
+    candidate_ids = landmarks.ids[_columns(work.candidates.columns, work.new_columns)]
+    created = kernels.complete_new(landmarks.planes, work.new_columns, work.matches)
+    landmarks.bound(work.touched, settings.gate)
+    landmarks.bound(work.new_columns[created > 0], settings.gate)
+    landmarks.settle(work.new_columns, created, frame.observations.descriptors)
     return FrameInfo(
         ids,
         work.squared,
@@ -254,6 +304,13 @@ def _close(state: State, frame: RobotFrame, work: _Work) -> FrameInfo:
         work.candidates,
         candidate_ids,
     )
+
+
+def _columns(candidates: np.ndarray, new_columns: np.ndarray) -> np.ndarray:
+    """The column each candidate stands for, see `association.Candidates`."""
+    columns = candidates.copy()
+    columns[candidates < 0] = new_columns[-1 - candidates[candidates < 0]]
+    return columns
 
 
 def _as_seen(poses: np.ndarray, dtype: np.dtype) -> np.ndarray:
@@ -268,6 +325,13 @@ def resample(state: State, ancestors: np.ndarray) -> None:
     state.log_weights = np.zeros(len(ancestors))
     state.landmarks.resample(ancestors)
     state.history.resample(ancestors)
+
+
+def threads(settings: FilterSettings) -> int:
+    """How many threads to use; the choice has no effect on results."""
+    if settings.threads:
+        return settings.threads
+    return min(len(os.sched_getaffinity(0)), settings.particles // WORTH_A_THREAD) or 1
 
 
 def best_particle(state: State) -> int:

@@ -1,0 +1,78 @@
+"""Types <-> CDR bytes of standard ROS messages: the only place that knows field layouts.
+
+Nodes publish these bytes and subscribe raw, bags hold them, so live and recorded data go through
+the same code, and none of it imports ROS. Each `encode_x` makes the bytes of one message; each
+`decode_x` checks what comes in and raises `InputError` where it is damaged or means nothing.
+
+Frames are those of `msg_defs.types`. Clouds of observations are in the camera's optical frame of
+REP-103 (x right, y down, z forward); here, and nowhere else, their y changes sign.
+"""
+
+from msg_defs.wire.clouds import (
+    decode_map,
+    decode_observation_truth,
+    decode_observations,
+    encode_map,
+    encode_observation_truth,
+    encode_observations,
+)
+from msg_defs.wire.messages import message_class, message_schema
+from msg_defs.wire.pictures import decode_walls, encode_markers, encode_walls
+from msg_defs.wire.poses import (
+    decode_estimate,
+    decode_particles,
+    decode_path,
+    decode_pose,
+    encode_estimate,
+    encode_particles,
+    encode_path,
+    encode_pose,
+    encode_transform,
+)
+from msg_defs.wire.records import (
+    ERROR,
+    OK,
+    STALE,
+    WARN,
+    Status,
+    decode_diagnostics,
+    decode_step,
+    decode_text,
+    encode_diagnostics,
+    encode_step,
+    encode_text,
+)
+
+__all__ = [
+    "ERROR",
+    "OK",
+    "STALE",
+    "WARN",
+    "Status",
+    "decode_diagnostics",
+    "decode_estimate",
+    "decode_map",
+    "decode_observation_truth",
+    "decode_observations",
+    "decode_particles",
+    "decode_path",
+    "decode_pose",
+    "decode_step",
+    "decode_text",
+    "decode_walls",
+    "encode_diagnostics",
+    "encode_estimate",
+    "encode_map",
+    "encode_markers",
+    "encode_observation_truth",
+    "encode_observations",
+    "encode_particles",
+    "encode_path",
+    "encode_pose",
+    "encode_step",
+    "encode_text",
+    "encode_transform",
+    "encode_walls",
+    "message_class",
+    "message_schema",
+]

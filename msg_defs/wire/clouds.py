@@ -1,0 +1,267 @@
+"""PointCloud2: observations, which landmark each is of, and the landmark map."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from msg_defs.errors import InputError
+from msg_defs.topics import MAP_FRAME, camera_frame
+from msg_defs.types import DESCRIPTOR_SIZE, LandmarkMap, ObservationSet, ObservationTruth
+from msg_defs.wire.messages import (
+    PointCloud2,
+    PointField,
+    decode,
+    encode,
+    header_of,
+    require_finite,
+    require_frame,
+    stamp_of,
+)
+
+
+class _Datatype(NamedTuple):
+    code: int
+    name: str
+    dtype: np.dtype
+
+
+_UINT8 = _Datatype(PointField.UINT8, "UINT8", np.dtype("u1"))
+_UINT32 = _Datatype(PointField.UINT32, "UINT32", np.dtype("<u4"))
+_FLOAT32 = _Datatype(PointField.FLOAT32, "FLOAT32", np.dtype("<f4"))
+
+
+class _Column(NamedTuple):
+    """One field of a cloud: written as the first of `datatypes`, read as any of them."""
+
+    name: str
+    count: int = 1
+    datatypes: tuple[_Datatype, ...] = (_FLOAT32,)
+
+    def __str__(self) -> str:
+        return f"{' or '.join(d.name for d in self.datatypes)} x {self.count}"
+
+
+_POSITION = (_Column("x"), _Column("y"), _Column("z"))
+_OBSERVATION = (
+    *_POSITION,
+    _Column("covariance", 6),
+    _Column("descriptor", DESCRIPTOR_SIZE, (_FLOAT32, _UINT8)),
+)
+_TRUTH = (_Column("landmark", 1, (_UINT32,)),)
+_MAP = (
+    *_POSITION,
+    _Column("covariance", 6),
+    _Column("id", 1, (_UINT32,)),
+    _Column("observations", 1, (_UINT32,)),
+    _Column("robots", 1, (_UINT32,)),
+    _Column("descriptor", DESCRIPTOR_SIZE),
+)
+
+_UINT8_DESCRIPTOR_SCALE = np.float32(1 / 512)
+"""SIFT as bytes is 512 times the unit vector."""
+
+_FLIP_POSITION = np.array([1, -1, 1], np.float32)
+"""Camera frame (Y up) <-> optical frame (y down)."""
+_FLIP_COVARIANCE = np.array([1, -1, 1, 1, -1, 1], np.float32)
+
+
+def encode_observations(observations: ObservationSet) -> bytes:
+    """PointCloud2 in the robot's optical frame."""
+    columns = {
+        **_position_columns(observations.positions * _FLIP_POSITION),
+        "covariance": observations.covariances * _FLIP_COVARIANCE,
+        "descriptor": observations.descriptors,
+    }
+    frame_id = camera_frame(observations.robot)
+    return _encode_cloud(_OBSERVATION, columns, observations.stamp_ns, frame_id)
+
+
+def decode_observations(data: bytes, robot: str) -> ObservationSet:
+    """Descriptors may be FLOAT32, or UINT8 for 512 times the value."""
+    what = f"observations of {robot}"
+    stamp_ns, columns = _decode_cloud(data, _OBSERVATION, camera_frame(robot), what)
+    depth = columns["z"]
+    behind = np.flatnonzero(depth <= 0)
+    if behind.size:
+        raise InputError(
+            f"{what}: depth z = {depth[behind[0]]:g} m of point {behind[0]} is not in front of "
+            "the camera; publish points in the optical frame, z forward"
+        )
+    covariances = columns["covariance"]
+    _require_definite(_is_definite(covariances), covariances, what)
+    return ObservationSet(
+        robot,
+        stamp_ns,
+        positions=_positions(columns) * _FLIP_POSITION,
+        covariances=covariances * _FLIP_COVARIANCE,
+        descriptors=_float_descriptors(columns["descriptor"]),
+    )
+
+
+def encode_observation_truth(truth: ObservationTruth) -> bytes:
+    """PointCloud2 with frame and stamp of the observations it belongs to."""
+    columns = {"landmark": truth.landmarks}
+    return _encode_cloud(_TRUTH, columns, truth.stamp_ns, camera_frame(truth.robot))
+
+
+def decode_observation_truth(data: bytes, robot: str) -> ObservationTruth:
+    what = f"observation truth of {robot}"
+    stamp_ns, columns = _decode_cloud(data, _TRUTH, camera_frame(robot), what)
+    return ObservationTruth(robot, stamp_ns, columns["landmark"])
+
+
+def encode_map(landmarks: LandmarkMap, stamp_ns: int) -> bytes:
+    """PointCloud2 in `map`."""
+    columns = {
+        **_position_columns(landmarks.positions),
+        "covariance": landmarks.covariances,
+        "id": landmarks.ids,
+        "observations": landmarks.observations,
+        "robots": landmarks.robots,
+        "descriptor": landmarks.descriptors,
+    }
+    return _encode_cloud(_MAP, columns, stamp_ns, MAP_FRAME)
+
+
+def decode_map(data: bytes) -> LandmarkMap:
+    """A covariance is positive definite, or zero as in a true map."""
+    what = "landmark map"
+    _, columns = _decode_cloud(data, _MAP, MAP_FRAME, what)
+    covariances = columns["covariance"]
+    definite = _is_definite(covariances) | (covariances == 0).all(axis=1)
+    _require_definite(definite, covariances, what)
+    ids, counts = np.unique(columns["id"], return_counts=True)
+    if (counts > 1).any():
+        raise InputError(f"{what}: id {ids[counts > 1][0]} occurs twice; number landmarks uniquely")
+    return LandmarkMap(
+        ids=columns["id"],
+        positions=_positions(columns),
+        covariances=covariances,
+        observations=columns["observations"],
+        robots=columns["robots"],
+        descriptors=columns["descriptor"],
+    )
+
+
+def _position_columns(positions: np.ndarray) -> dict[str, np.ndarray]:
+    return dict(zip("xyz", positions.T, strict=True))
+
+
+def _positions(columns: dict[str, np.ndarray]) -> np.ndarray:
+    return np.stack([columns[name] for name in "xyz"], axis=1)
+
+
+def _float_descriptors(values: np.ndarray) -> np.ndarray:
+    return values * _UINT8_DESCRIPTOR_SCALE if values.dtype == np.uint8 else values
+
+
+def _encode_cloud(
+    table: tuple[_Column, ...], columns: dict[str, np.ndarray], stamp_ns: int, frame_id: str
+) -> bytes:
+    dtype, fields = _LAYOUTS[table]
+    count = len(columns[table[0].name])
+    points = np.empty(count, dtype)
+    for column in table:
+        points[column.name] = columns[column.name]
+    return encode(
+        PointCloud2(
+            header=header_of(stamp_ns, frame_id),
+            height=1,
+            width=count,
+            fields=fields,
+            is_bigendian=False,
+            point_step=dtype.itemsize,
+            row_step=dtype.itemsize * count,
+            data=points.view(np.uint8),
+            is_dense=True,
+        )
+    )
+
+
+def _layout(table: tuple[_Column, ...]) -> tuple[np.dtype, list]:
+    """The fields of `table`, one after the other without gaps."""
+    dtype = np.dtype([(c.name, c.datatypes[0].dtype, (c.count,) * (c.count > 1)) for c in table])
+    fields = [
+        PointField(c.name, dtype.fields[c.name][1], c.datatypes[0].code, c.count) for c in table
+    ]
+    return dtype, fields
+
+
+_LAYOUTS = {table: _layout(table) for table in (_OBSERVATION, _TRUTH, _MAP)}
+
+
+def _decode_cloud(
+    data: bytes, table: tuple[_Column, ...], frame_id: str, what: str
+) -> tuple[int, dict[str, np.ndarray]]:
+    """Stamp, and one array (n,) or (n, count) for each column of `table`; more fields may be there.
+
+    Fields may come in any order and with gaps, rows may be padded, a cloud may have several rows
+    and either byte order.
+    """
+    cloud = decode(PointCloud2, data, what)
+    require_frame(cloud.header.frame_id, (frame_id,), what)
+    stamp_ns = stamp_of(cloud.header, what)
+    fields = {field.name: field for field in cloud.fields}
+    if len(fields) < len(cloud.fields):
+        raise InputError(f"{what}: fields {_names(cloud)}; name each once")
+    points = _point_bytes(cloud, what)
+    return stamp_ns, {c.name: _column(points, c, fields.get(c.name), cloud, what) for c in table}
+
+
+def _point_bytes(cloud: Any, what: str) -> np.ndarray:
+    """(n, point_step) uint8."""
+    used = cloud.width * cloud.point_step
+    sizes_agree = cloud.row_step >= used and cloud.data.size == cloud.height * cloud.row_step
+    if not sizes_agree or cloud.point_step == 0:
+        raise InputError(
+            f"{what}: height {cloud.height}, width {cloud.width}, point_step {cloud.point_step}, "
+            f"row_step {cloud.row_step} and {cloud.data.size} bytes of data disagree; "
+            "row_step is width * point_step, data is height * row_step"
+        )
+    rows = cloud.data.reshape(cloud.height, cloud.row_step)[:, :used]
+    return rows.reshape(cloud.height * cloud.width, cloud.point_step)
+
+
+def _column(points: np.ndarray, column: _Column, field: Any, cloud: Any, what: str) -> np.ndarray:
+    if field is None:
+        raise InputError(
+            f"{what}: no field '{column.name}' among {_names(cloud)}; publish it as {column}"
+        )
+    datatype = next((d for d in column.datatypes if d.code == field.datatype), None)
+    if datatype is None or field.count != column.count:
+        raise InputError(
+            f"{what}: field '{column.name}' has datatype {field.datatype} x {field.count}; "
+            f"publish it as {column}"
+        )
+    end = field.offset + datatype.dtype.itemsize * column.count
+    if end > cloud.point_step:
+        raise InputError(
+            f"{what}: field '{column.name}' ends at byte {end} of a point of {cloud.point_step} "
+            "bytes; correct its offset or point_step"
+        )
+    stored = datatype.dtype.newbyteorder(">") if cloud.is_bigendian else datatype.dtype
+    values = points[:, field.offset : end].copy().view(stored).astype(datatype.dtype, copy=False)
+    if datatype is _FLOAT32:
+        require_finite(values, what, column.name)
+    return values if column.count > 1 else values[:, 0]
+
+
+def _names(cloud: Any) -> str:
+    return repr([field.name for field in cloud.fields])
+
+
+def _is_definite(covariances: np.ndarray) -> np.ndarray:
+    """(n,) bool: Sylvester's criterion on (n, 6) finite float32 numbers."""
+    xx, xy, xz, yy, yz, zz = covariances.astype(np.float64).T
+    minor = xx * yy - xy * xy
+    determinant = zz * minor - xx * yz * yz + 2 * xy * yz * xz - yy * xz * xz
+    return (xx > 0) & (minor > 0) & (determinant > 0)
+
+
+def _require_definite(definite: np.ndarray, covariances: np.ndarray, what: str) -> None:
+    if not definite.all():
+        row = int(np.argmin(definite))
+        raise InputError(
+            f"{what}: covariance {covariances[row].tolist()} of point {row} is not positive "
+            "definite; publish xx xy xz yy yz zz [m^2]"
+        )

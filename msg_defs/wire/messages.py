@@ -1,0 +1,96 @@
+"""ROS's message types, their CDR bytes, and the header all of them have."""
+
+import importlib
+from typing import Any
+
+import numpy as np
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, get_typestore
+
+from msg_defs.errors import InputError
+
+_STORE = get_typestore(Stores.ROS2_JAZZY)
+Duration = _STORE.types["builtin_interfaces/msg/Duration"]
+Time = _STORE.types["builtin_interfaces/msg/Time"]
+DiagnosticArray = _STORE.types["diagnostic_msgs/msg/DiagnosticArray"]
+DiagnosticStatus = _STORE.types["diagnostic_msgs/msg/DiagnosticStatus"]
+KeyValue = _STORE.types["diagnostic_msgs/msg/KeyValue"]
+Point = _STORE.types["geometry_msgs/msg/Point"]
+Pose = _STORE.types["geometry_msgs/msg/Pose"]
+PoseArray = _STORE.types["geometry_msgs/msg/PoseArray"]
+PoseStamped = _STORE.types["geometry_msgs/msg/PoseStamped"]
+PoseWithCovariance = _STORE.types["geometry_msgs/msg/PoseWithCovariance"]
+PoseWithCovarianceStamped = _STORE.types["geometry_msgs/msg/PoseWithCovarianceStamped"]
+Quaternion = _STORE.types["geometry_msgs/msg/Quaternion"]
+Transform = _STORE.types["geometry_msgs/msg/Transform"]
+TransformStamped = _STORE.types["geometry_msgs/msg/TransformStamped"]
+Twist = _STORE.types["geometry_msgs/msg/Twist"]
+TwistWithCovariance = _STORE.types["geometry_msgs/msg/TwistWithCovariance"]
+Vector3 = _STORE.types["geometry_msgs/msg/Vector3"]
+Odometry = _STORE.types["nav_msgs/msg/Odometry"]
+Path = _STORE.types["nav_msgs/msg/Path"]
+CompressedImage = _STORE.types["sensor_msgs/msg/CompressedImage"]
+PointCloud2 = _STORE.types["sensor_msgs/msg/PointCloud2"]
+PointField = _STORE.types["sensor_msgs/msg/PointField"]
+ColorRGBA = _STORE.types["std_msgs/msg/ColorRGBA"]
+Header = _STORE.types["std_msgs/msg/Header"]
+String = _STORE.types["std_msgs/msg/String"]
+TFMessage = _STORE.types["tf2_msgs/msg/TFMessage"]
+Marker = _STORE.types["visualization_msgs/msg/Marker"]
+MarkerArray = _STORE.types["visualization_msgs/msg/MarkerArray"]
+MeshFile = _STORE.types["visualization_msgs/msg/MeshFile"]
+
+
+def message_class(type_name: str) -> type:
+    """ROS's own class of a message type such as `nav_msgs/msg/Odometry`; needs ROS."""
+    package, _, name = type_name.partition("/msg/")
+    return getattr(importlib.import_module(f"{package}.msg"), name)
+
+
+def message_schema(type_name: str) -> tuple[str, str]:
+    """The `ros2msg` text of a message type with all it contains, and its RIHS01 hash."""
+    return _STORE.generate_msgdef(type_name, ros_version=2)[0], _STORE.hash_rihs01(type_name)
+
+
+def encode(message: Any) -> bytes:
+    """CDR bytes of a message."""
+    return bytes(_STORE.serialize_cdr(message, message.__msgtype__))
+
+
+def decode(message_type: type, data: bytes, what: str) -> Any:
+    """The message in CDR bytes; `what` it is begins the complaint when it is none."""
+    name = message_type.__msgtype__
+    try:
+        return _STORE.deserialize_cdr(data, name)
+    except SerdeError as error:
+        raise InputError(
+            f"{what}: {len(data)} bytes are no {name}: {error} Check the publisher's message type"
+        ) from None
+
+
+def header_of(stamp_ns: int, frame_id: str) -> Any:
+    """Header of a stamp in nanoseconds."""
+    return Header(Time(*divmod(int(stamp_ns), 10**9)), frame_id)
+
+
+def stamp_of(header: Any, what: str) -> int:
+    """Stamp of a header [ns]."""
+    seconds, nanoseconds = header.stamp.sec, header.stamp.nanosec
+    if nanoseconds >= 10**9:
+        raise InputError(f"{what}: nanosec = {nanoseconds} of the stamp; it must be below 10^9")
+    return seconds * 10**9 + nanoseconds
+
+
+def require_frame(frame_id: str, expected: tuple[str, ...], what: str, name="frame_id") -> None:
+    """Complain when a frame is none of those expected."""
+    if frame_id not in expected:
+        raise InputError(f"{what}: {name} is {frame_id!r}; publish it as {' or '.join(expected)}")
+
+
+def require_finite(values: np.ndarray, what: str, name: str) -> None:
+    """Complain when `values`, (n,) or (n, k), have a NaN or an infinity."""
+    finite = np.isfinite(values)
+    if not finite.all():
+        row = int(np.argwhere(~finite)[0, 0])
+        value = values[~finite][0]
+        raise InputError(f"{what}: {name}[{row}] = {value}; publish finite numbers only")

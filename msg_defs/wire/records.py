@@ -1,0 +1,169 @@
+"""Words and numbers: text, diagnostics, and the filter's step records."""
+
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from msg_defs.errors import InputError
+from msg_defs.types import FrameRecord, StepRecord
+from msg_defs.wire.messages import (
+    DiagnosticArray,
+    DiagnosticStatus,
+    KeyValue,
+    String,
+    decode,
+    encode,
+    header_of,
+    stamp_of,
+)
+
+OK, WARN, ERROR, STALE = range(4)
+"""Levels of a `Status`."""
+
+
+class Status(NamedTuple):
+    """One entry of a DiagnosticArray."""
+
+    name: str
+    values: Mapping[str, str]
+    level: int = OK
+    message: str = ""
+    hardware_id: str = ""
+
+
+def encode_text(text: str) -> bytes:
+    """String."""
+    return encode(String(text))
+
+
+def decode_text(data: bytes) -> str:
+    return decode(String, data, "text").data
+
+
+def encode_diagnostics(stamp_ns: int, statuses: Iterable[Status]) -> bytes:
+    """DiagnosticArray."""
+    entries = [
+        DiagnosticStatus(
+            s.level,
+            s.name,
+            s.message,
+            s.hardware_id,
+            [KeyValue(*pair) for pair in s.values.items()],
+        )
+        for s in statuses
+    ]
+    return encode(DiagnosticArray(header_of(stamp_ns, ""), entries))
+
+
+def decode_diagnostics(data: bytes, what: str = "diagnostics") -> tuple[int, tuple[Status, ...]]:
+    """Stamp [ns] and entries."""
+    message = decode(DiagnosticArray, data, what)
+    return stamp_of(message.header, what), tuple(_status(s, what) for s in message.status)
+
+
+def _status(status: Any, what: str) -> Status:
+    if status.level not in (OK, WARN, ERROR, STALE):
+        raise InputError(f"{what}: level = {status.level} of {status.name!r}; it must be 0 to 3")
+    values = {pair.key: pair.value for pair in status.values}
+    return Status(status.name, values, status.level, status.message, status.hardware_id)
+
+
+def encode_step(record: StepRecord) -> bytes:
+    """DiagnosticArray: one entry for the step, then one for each robot's frame.
+
+    Numbers are written with as many digits as bring back every bit. Estimates are not part of it:
+    they are published on each robot's `pose`.
+    """
+    values = {
+        "step": str(record.step),
+        "effective_particles": repr(float(record.effective_particles)),
+        "resampled": str(int(record.resampled)),
+        "duration_ms": repr(float(record.duration_ms)),
+    }
+    step = Status("fusion: step", values, message=f"step {record.step}")
+    return encode_diagnostics(record.stamp_ns, [step, *map(_frame_status, record.frames)])
+
+
+def decode_step(data: bytes) -> StepRecord:
+    """The step without its estimates."""
+    stamp_ns, statuses = decode_diagnostics(data, _STEP)
+    if not statuses:
+        raise InputError(f"{_STEP}: no entry for the step; record it again")
+    values = statuses[0].values
+    return StepRecord(
+        stamp_ns,
+        step=_number(values, "step", int),
+        frames=tuple(_frame(status) for status in statuses[1:]),
+        estimates=(),
+        effective_particles=_number(values, "effective_particles", float),
+        resampled=_number(values, "resampled", _flag),
+        duration_ms=_number(values, "duration_ms", float),
+    )
+
+
+_STEP = "filter step"
+
+_FRAME_LISTS = {
+    "landmarks": np.int64,
+    "is_new": bool,
+    "is_rejected": bool,
+    "mahalanobis": np.float32,
+    "descriptor_distance": np.float32,
+}
+"""Per-observation values of a frame; true and false are written as 1 and 0."""
+
+
+def _frame_status(frame: FrameRecord) -> Status:
+    observed, new = len(frame.landmarks), int(np.count_nonzero(frame.is_new))
+    values = {
+        "observed": str(observed),
+        "new": str(new),
+        "matched": str(observed - new),
+        "rejected": str(int(np.count_nonzero(frame.is_rejected))),
+    }
+    for name, dtype in _FRAME_LISTS.items():
+        numbers = getattr(frame, name).astype(np.uint8 if dtype is bool else dtype)
+        values[name] = " ".join(map(str, numbers))
+    return Status(f"fusion: {frame.robot}", values, hardware_id=frame.robot)
+
+
+def _frame(status: Status) -> FrameRecord:
+    lists = {name: _numbers(status, name, dtype) for name, dtype in _FRAME_LISTS.items()}
+    observed = _number(status.values, "observed", int)
+    for name, values in lists.items():
+        if len(values) != observed:
+            raise InputError(
+                f"{_STEP}: {len(values)} {name} of {observed} observations; record it again"
+            )
+    return FrameRecord(status.hardware_id, **lists)
+
+
+def _text(values: Mapping[str, str], key: str) -> str:
+    try:
+        return values[key]
+    except KeyError:
+        raise InputError(f"{_STEP}: no value '{key}'; record it again") from None
+
+
+def _number(values: Mapping[str, str], key: str, kind: type) -> Any:
+    text = _text(values, key)
+    try:
+        return kind(text)
+    except ValueError:
+        raise InputError(f"{_STEP}: {key} = {text!r} is no number; record it again") from None
+
+
+def _flag(text: str) -> bool:
+    if text not in ("0", "1"):
+        raise ValueError
+    return text == "1"
+
+
+def _numbers(status: Status, key: str, dtype: type) -> np.ndarray:
+    text = _text(status.values, key)
+    try:
+        words = text.split()
+        return np.array([_flag(word) for word in words] if dtype is bool else words, dtype)
+    except (ValueError, OverflowError):
+        raise InputError(f"{_STEP}: {key} = {text!r} are no numbers; record it again") from None

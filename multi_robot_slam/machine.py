@@ -1,0 +1,90 @@
+"""What this machine sustains, one thread: the yardstick beside the benchmark's figures."""
+
+import ast
+import inspect
+import textwrap
+import time
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+MULTIPLY_ADDS = 16
+"""In `multiply_add`, per element and pass."""
+
+
+class Rates(NamedTuple):
+    """The fastest of several passes over each loop."""
+
+    ns_per_byte: float
+    """Copy loop; a byte read and a byte written count as two."""
+    ns_per_operation: float
+    """Multiply-add loop, float32; a multiply-add counts as two."""
+
+
+def measure(working_set: int, passes: int = 30) -> Rates:
+    """Time both loops; the copy loop moves as many bytes as the filter does, `working_set`."""
+    source = np.ones(working_set // 8, np.float32)
+    target = np.zeros_like(source)
+    values = np.ones(1024, np.float32)
+    repeats = 200
+    copying = _fastest(lambda: copy(source, target), passes)
+    adding = _fastest(lambda: multiply_add(values, np.float32(0.5), repeats), passes)
+    operations = 2 * MULTIPLY_ADDS * len(values) * repeats
+    return Rates(1e9 * copying / (2 * source.nbytes), 1e9 * adding / operations)
+
+
+@njit(cache=True)
+def copy(source, target):
+    """A copy loop."""
+    for i in range(source.size):
+        target[i] = source[i]
+
+
+@njit(cache=True, fastmath={"contract"}, error_model="numpy")
+def multiply_add(values, a, repeats):
+    """Sixteen multiply-adds for each of a few values that stay in the first-level cache."""
+    for _ in range(repeats):
+        for i in range(values.size):
+            x = values[i]
+            x = x * a + a
+            x = x * a + a
+            x = x * a + a
+            x = x * a + a
+            x = x * a + a
+            x = x * a + a
+            x = x * a + a
+            x = x * a + a
+            x = x * a + a
+            x = x * a + a
+            x = x * a + a
+            x = x * a + a
+            x = x * a + a
+            x = x * a + a
+            x = x * a + a
+            values[i] = x * a + a
+
+
+def operations(kernel) -> int:
+    """Additions, multiplications and divisions in the loops of a compiled function's source."""
+    source = textwrap.dedent(inspect.getsource(kernel.py_func))
+    loops = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.For)]
+    return sum(_arithmetic(statement) for loop in loops for statement in loop.body)
+
+
+def _arithmetic(node: ast.AST) -> int:
+    if isinstance(node, ast.Subscript | ast.For):  # indices, and loops counted on their own
+        return 0
+    return isinstance(node, ast.BinOp | ast.AugAssign) + sum(
+        _arithmetic(child) for child in ast.iter_child_nodes(node)
+    )
+
+
+def _fastest(run, passes: int) -> float:
+    run()
+    times = []
+    for _ in range(passes):
+        start = time.perf_counter()
+        run()
+        times.append(time.perf_counter() - start)
+    return min(times)
