@@ -2,6 +2,7 @@
 
 import contextlib
 import fcntl
+import functools
 import itertools
 import os
 import signal
@@ -47,18 +48,24 @@ def ros_domain_id(monkeypatch):
 
 
 @pytest.fixture
-def command(monkeypatch, capfd):
-    """Run `multi_robot_slam` in this process: `command(word, ...) -> (code, stdout, stderr)`."""
+def program(monkeypatch, capfd):
+    """Run a command in this process: `program(cli, word, ...) -> (exit code, stdout, stderr)`."""
 
-    def run(*words):
-        from multi_robot_slam import cli
-
-        monkeypatch.setattr(sys, "argv", ["multi_robot_slam", *map(str, words)])
+    def run(cli, *words):
+        monkeypatch.setattr(sys, "argv", [cli.__name__.partition(".")[0], *map(str, words)])
         with pytest.raises(SystemExit) as end:
             cli.main()
         return end.value.code or 0, *capfd.readouterr()
 
     return run
+
+
+@pytest.fixture
+def command(program):
+    """Run `multi_robot_slam`: `command(word, ...) -> (exit code, stdout, stderr)`."""
+    from multi_robot_slam import cli
+
+    return functools.partial(program, cli)
 
 
 @pytest.fixture(scope="session")

@@ -6,6 +6,7 @@ from msg_defs import settings, topics, wire
 from multi_robot_slam.bags import BagWriter
 from multi_robot_slam.config import SECTION, Config
 from multi_robot_slam.filter.rbpf import FilterSettings
+from multi_robot_slam.pipeline import Pipeline
 from sim_world.robot import START_NS
 from sim_world.scenario import Scenario
 from sim_world.simulator import Simulation
@@ -33,10 +34,10 @@ def messages_of(step):
         yield topics.observation_truth(name), wire.encode_observation_truth(robot.observation_truth)
 
 
-def record(folder, scenario=None, seed=0, steps=None, **of_filter):
+def record(folder, scenario=None, seed=0, steps=None, is_live=False, **of_filter):
     """Write a bag of a simulated team and of its fusion's configuration; the two.
 
-    Only the first `steps` are written, if given.
+    Only the first `steps` are written, if given; with `is_live` the fusion's estimates, too.
     """
     simulation = Simulation(scenario or Scenario(robots=2, movements=40, observations=5), seed)
     config = configuration(simulation, **{"particles": 20} | of_filter)
@@ -51,4 +52,21 @@ def record(folder, scenario=None, seed=0, steps=None, **of_filter):
         for step in islice(simulation.steps(), steps):
             for topic, data in messages_of(step):
                 bag.write(topic, step[0].odometry.stamp_ns, data)
+        if is_live:
+            for topic, data in estimates(simulation, config):
+                bag.write(topic, START_NS, data)
     return simulation, config
+
+
+def estimates(simulation, config):
+    """What the fusion publishes of it: (topic, bytes)."""
+    pipeline = Pipeline(config)
+    events = (e for step in simulation.steps() for r in step for e in (r.odometry, r.observations))
+    records = [record for event in events for record in pipeline.handle(event)] + pipeline.finish()
+    for record in records:
+        yield topics.STEPS, wire.encode_step(record)
+        for estimate in record.estimates:
+            yield topics.pose(estimate.robot), wire.encode_estimate(estimate)
+    yield topics.MAP_LANDMARKS, wire.encode_map(pipeline.landmark_map(), START_NS)
+    for robot, path in pipeline.trajectories().items():
+        yield topics.path(robot), wire.encode_path(path, START_NS)

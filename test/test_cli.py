@@ -41,6 +41,16 @@ def test_run_leaves_results_and_prints_the_table(command, bag, tmp_path):
     assert written == {"result.json", "config.yaml", "map.csv"} | trajectories | pictures
 
 
+def test_live_run_and_run_of_its_bag_are_judged_alike(command, tmp_path):
+    live, again = tmp_path / "live", tmp_path / "again"
+    recordings.record(live / "bag", is_live=True)
+    assert command("evaluate", live)[0] == 0
+    assert command("run", live / "bag", "--out", again)[0] == 0
+    judged, estimated = (json.loads((f / "result.json").read_text()) for f in (live, again))
+    for name in ("path_rmse_m", "heading_rmse_rad", "map_rmse_m", "landmarks"):
+        assert judged[name] == pytest.approx(estimated[name], abs=1e-9)
+
+
 def test_run_takes_particles_seed_and_scenario(command, bag, tmp_path):
     scenario = tmp_path / "given.yaml"
     scenario.write_text("multi_robot_slam: {filter: {gate: 9.0, particles: 4}}")

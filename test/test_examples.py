@@ -3,6 +3,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import recordings
 
 from msg_defs import wire
 from multi_robot_slam.bags import BagReader
@@ -14,6 +15,17 @@ def test_the_readme_names_every_example():
     readme = (EXAMPLES / "README.md").read_text()
     for example in EXAMPLES.glob("*.py"):
         assert f"examples/{example.name}" in readme
+
+
+def test_replay_bag_tells_where_the_robots_are(tmp_path):
+    recordings.record(tmp_path / "bag")
+    told = subprocess.check_output(
+        [sys.executable, EXAMPLES / "replay_bag.py", tmp_path / "bag"], text=True, timeout=60
+    )
+    first, second, landmarks = told.splitlines()
+    assert first.startswith("robot_1: 21 poses, ")
+    assert second.startswith("robot_2: 21 poses, ")
+    assert int(landmarks.split()[0]) > 20
 
 
 def test_spawn_team_leaves_a_complete_bag(spawn, tmp_path):

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import recordings
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -13,7 +14,6 @@ from msg_defs.errors import InputError
 from msg_defs.types import StepRecord
 from multi_robot_slam.config import SECTION, Config
 from multi_robot_slam.filter.motion import move, wrap
-from multi_robot_slam.filter.rbpf import FilterSettings
 from multi_robot_slam.pipeline import Pipeline
 from sim_world.scenario import Scenario
 from sim_world.simulator import Simulation
@@ -24,11 +24,7 @@ fusion = pytest.importorskip("multi_robot_slam.fusion")
 pytestmark = pytest.mark.usefixtures("ros_domain_id")
 
 SIMULATION = Simulation(Scenario(robots=2, movements=20, observations=5), seed=3)
-CONFIG = Config(
-    robots=tuple(SIMULATION.start_poses),
-    start_poses=tuple(tuple(pose.tolist()) for pose in SIMULATION.start_poses.values()),
-    filter=FilterSettings(particles=10),
-)
+CONFIG = recordings.configuration(SIMULATION, particles=10)
 STEPS = list(SIMULATION.steps())
 OUTPUTS = [
     topics.STEPS,
@@ -49,12 +45,10 @@ def parameters(tmp_path):
 
 
 def messages(step):
-    """What the robots of one simulated step send: (topic, bytes)."""
-    for robot in step:
-        name = robot.odometry.robot
-        odom, base = topics.odom_frame(name), topics.base_frame(name)
-        yield topics.odometry(name), wire.encode_pose(robot.odometry, odom, base)
-        yield topics.observations(name), wire.encode_observations(robot.observations)
+    """What the fusion hears of one simulated step: (topic, bytes)."""
+    truths = (topics.ground_truth, topics.observation_truth)
+    unheard = {truth(name) for truth in truths for name in CONFIG.robots}
+    return [sent for sent in recordings.messages_of(step) if sent[0] not in unheard]
 
 
 def run(arguments, sent):

@@ -15,7 +15,7 @@ from sim_world.scenario import Scenario
 
 SCENARIO = Scenario(robots=3, observations=8)
 STEPS = 12
-PAPER = {"proposal": "motion", "resample_below": 1.0, "particles": 6}
+PAPER = {"proposal": "motion", "resample_below": 1.0, "exclusive": False, "particles": 6}
 
 
 def paired(events, names):

@@ -1,5 +1,6 @@
 """The command `sim_world`."""
 
+import functools
 import re
 import sys
 from types import ModuleType
@@ -14,16 +15,9 @@ from sim_world import cli, descriptors
 
 
 @pytest.fixture
-def sim_world(monkeypatch, capfd):
+def sim_world(program):
     """Run the command: `sim_world(word, ...) -> (exit code, stdout, stderr)`."""
-
-    def command(*words):
-        monkeypatch.setattr(sys, "argv", ["sim_world", *map(str, words)])
-        with pytest.raises(SystemExit) as end:
-            cli.main()
-        return end.value.code or 0, *capfd.readouterr()
-
-    return command
+    return functools.partial(program, cli)
 
 
 @pytest.fixture

@@ -29,6 +29,7 @@ from multi_robot_slam.filter.kernels import (
     UNMATCHED,
     X,
     Y,
+    copy,
     count_equal,
     create,
     fetch,
@@ -95,28 +96,34 @@ def associate_and_believe(
                     replace(found, count, TAKEN, UNMATCHED)
                 if count_equal(found, count, UNMATCHED) == 0:
                     break
-            for m in range(count):
-                matches[b, low + m] = found[m]
-                squared[b, low + m] = local[SQUARED, m]
-                dets[b, low + m] = local[DETERMINANT, m]
-        for m in range(count):
-            beliefs[0, low + m] = local[X, m] - poses[2, low + m]
-            beliefs[1, low + m] = local[Y, m] - poses[3, low + m]
-            for row in range(YAW, P_TT + 1):
-                beliefs[row - YAW + 2, low + m] = local[row, m]
+            copy(found[:count], matches[b, low:high])
+            copy(local[SQUARED, :count], squared[b, low:high])
+            copy(local[DETERMINANT, :count], dets[b, low:high])
+        subtract(local[X, :count], poses[2, low:high], beliefs[0, low:high])
+        subtract(local[Y, :count], poses[3, low:high], beliefs[1, low:high])
+        for row in range(YAW, P_TT + 1):
+            copy(local[row, :count], beliefs[row - YAW + 2, low:high])
+
+
+@njit(cache=True, nogil=True)
+def subtract(a, b, difference):
+    """Row a - row b."""
+    for m in range(a.size):
+        difference[m] = a[m] - b[m]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FLOAT_RULES)
 def load(poses, spread, local):
     """Start a block's beliefs at the motion model."""
+    cos_yaw, sin_yaw, robot_x, robot_y = poses[0], poses[1], poses[2], poses[3]
     n_xx, n_xy, n_yy, yaw = spread[0], spread[1], spread[2], spread[3]
-    for m in range(poses.shape[1]):
-        c, s = poses[0, m], poses[1, m]
+    for m in range(cos_yaw.size):
+        c, s = cos_yaw[m], sin_yaw[m]
         cc, ss, cs = c * c, s * s, c * s
         local[COS, m] = c
         local[SIN, m] = s
-        local[X, m] = poses[2, m]
-        local[Y, m] = poses[3, m]
+        local[X, m] = robot_x[m]
+        local[Y, m] = robot_y[m]
         local[YAW, m] = 0
         local[P_XX, m] = cc * n_xx - (cs + cs) * n_xy + ss * n_yy
         local[P_XY, m] = cs * (n_xx - n_yy) + (cc - ss) * n_xy
@@ -252,10 +259,9 @@ def update_matched(
         high = min(low + BLOCK, last)
         count = high - low
         for row in range(4):
-            for m in range(count):
-                local[row, m] = poses[row, low + m]
+            copy(poses[row, low:high], local[row])
         for b in range(len(v)):
-            found[:count] = matches[b, low:high]
+            copy(matches[b, low:high], found)
             unmatched = count_equal(found, count, UNMATCHED)
             left = count - unmatched
             for i in range(starts[b], starts[b + 1]):
@@ -269,10 +275,10 @@ def update_matched(
                     put(planes[column], low, count, local)
                     left -= mine
             if unmatched > 0:
-                local[SQUARED, :count] = squared[b, low:high]
-                local[DETERMINANT, :count] = dets[b, low:high]
+                copy(squared[b, low:high], local[SQUARED])
+                copy(dets[b, low:high], local[DETERMINANT])
                 create(planes[new_columns[b]], low, high, local, found, v[b], noise[b])
                 weigh_new(new_columns[b], local, found, count, noise[b], gate)
-                matches[b, low:high] = found[:count]
-                squared[b, low:high] = local[SQUARED, :count]
-                dets[b, low:high] = local[DETERMINANT, :count]
+                copy(found[:count], matches[b, low:high])
+                copy(local[SQUARED, :count], squared[b, low:high])
+                copy(local[DETERMINANT, :count], dets[b, low:high])

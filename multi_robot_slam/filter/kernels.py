@@ -76,8 +76,7 @@ def associate_and_update(
         high = min(low + BLOCK, last)
         count = high - low
         for row in range(4):
-            for m in range(count):
-                local[row, m] = poses[row, low + m]
+            copy(poses[row, low:high], local[row])
         for b in range(len(v)):
             found[:count] = UNMATCHED
             unmatched = count
@@ -103,10 +102,9 @@ def associate_and_update(
             if is_new[b]:
                 create(planes[new_columns[b]], low, high, local, found, v[b], noise[b])
                 weigh_new(new_columns[b], local, found, count, noise[b], gate)
-            for m in range(count):
-                matches[b, low + m] = found[m]
-                squared[b, low + m] = local[SQUARED, m]
-                determinants[b, low + m] = local[DETERMINANT, m]
+            copy(found[:count], matches[b, low:high])
+            copy(local[SQUARED, :count], squared[b, low:high])
+            copy(local[DETERMINANT, :count], determinants[b, low:high])
 
 
 @njit(cache=True, nogil=True)
@@ -140,19 +138,24 @@ def set_taken_aside(candidate, column, starts, columns, b, matches, low, count, 
 
 
 @njit(cache=True, nogil=True)
+def copy(source, target):
+    """Copy one row. A loop over whole rows is SIMD code, one with an offset or a slice is not."""
+    for m in range(source.size):
+        target[m] = source[m]
+
+
+@njit(cache=True, nogil=True)
 def fetch(landmark, low, count, local):
     """Copy a block of a landmark's planes (9, M) to `local`."""
     for k in range(PLANES):
-        for m in range(count):
-            local[MEAN_X + k, m] = landmark[k, low + m]
+        copy(landmark[k, low : low + count], local[MEAN_X + k])
 
 
 @njit(cache=True, nogil=True)
 def put(landmark, low, count, local):
     """Copy a block of a landmark's planes back."""
     for k in range(PLANES):
-        for m in range(count):
-            landmark[k, low + m] = local[MEAN_X + k, m]
+        copy(local[MEAN_X + k, :count], landmark[k, low : low + count])
 
 
 @njit(inline="always", cache=True, nogil=True, error_model="numpy", fastmath=FLOAT_RULES)
@@ -319,16 +322,17 @@ def log_likelihood(squared, determinants):
 def gather(first, last, planes, columns, rows, generations):
     """Bring columns[first:last] up to date.
 
-    In columns[i] particle m takes the place of particle rows[generations[i], m].
+    In columns[i] particle m takes the place of particle rows[generations[i], m]. An unsigned index
+    spares the compiler the test for a negative one, which would keep it from SIMD code.
     """
-    copy = np.empty(planes.shape[2], planes.dtype)
+    gathered = np.empty(planes.shape[2], planes.dtype)
     for i in range(first, last):
         ancestors = rows[generations[i]]
         for k in range(PLANES):
             plane = planes[columns[i], k]
-            for m in range(copy.size):
-                copy[m] = plane[ancestors[m]]
-            plane[:] = copy
+            for m in range(gathered.size):
+                gathered[m] = plane[np.uint32(ancestors[m])]
+            copy(gathered, plane)
 
 
 @njit(cache=True, nogil=True)
@@ -337,14 +341,14 @@ def compose(rows, used, ancestors):
 
     Ancestors ascend, so rows do too: one whose ends are equal is constant and stays as it is.
     """
-    copy = np.empty(ancestors.size, np.int32)
+    composed = np.empty(ancestors.size, np.int32)
     for g in used:
         row = rows[g]
         if row[0] == row[-1]:
             continue
-        for m in range(copy.size):
-            copy[m] = row[ancestors[m]]
-        row[:] = copy
+        for m in range(composed.size):
+            composed[m] = row[np.uint32(ancestors[m])]
+        copy(composed, row)
 
 
 @njit(cache=True, nogil=True)
@@ -355,7 +359,7 @@ def count_owners(planes, columns, rows, generations):
         mean_x = planes[columns[i], 0]
         ancestors = rows[generations[i]]
         for m in range(ancestors.size):
-            owners[i] += mean_x[ancestors[m]] < 0.5 * FAR
+            owners[i] += mean_x[np.uint32(ancestors[m])] < 0.5 * FAR
     return owners
 
 
