@@ -30,9 +30,10 @@ def main() -> None:
     pace = f"speed:={options.speed}", "subscribers:=2", "truth_subscribers:=1"
     names = ", ".join(f"robot_{i + 1}" for i in range(options.robots))
     what = f"out:={options.out / 'bag'}", f"robots:=[{names}]"
+    patience = f"stop_after_s:={2.0 + (2.0 / options.speed if options.speed else 0.0)}"
     with (
         node("multi_robot_slam.recorder", *what) as recorder,
-        node("multi_robot_slam.fusion", f"scenario:={team}", "stop_after_s:=2.0") as fusion,
+        node("multi_robot_slam.fusion", f"scenario:={team}", patience) as fusion,
         node("sim_world.robots", f"scenario:={team}", *pace) as robots,
     ):
         wait(robots, needed=[recorder, fusion])
@@ -76,4 +77,7 @@ def wait(process: subprocess.Popen, needed: list, timeout_s: float = float("inf"
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except KeyboardInterrupt:
+        sys.exit("interrupted")

@@ -148,6 +148,8 @@ def experiment(
         TimeRemainingColumn(),
         console=messages,
         speed_estimate_period=600,
+        transient=True,
+        disable=not messages.is_terminal,
     ) as progress:
         task = progress.add_task(f"{name}, {len(wanted)} rows", total=None)
         rows = experiments.run(
@@ -159,6 +161,26 @@ def experiment(
         )
     experiment_report.write(rows, base, out)
     console.print(f"Everything is in {out}", markup=False)
+
+
+@app.command()
+def bench(
+    json: Annotated[Path | None, typer.Option(metavar="FILE", help="Also write the rows.")] = None,
+    quick: Annotated[bool, typer.Option(help="Fewer steps: under 40 s.")] = False,
+) -> None:
+    """Measure the filter's speed and memory, beside what this machine would allow."""
+    from multi_robot_slam import bench
+
+    if json is not None:
+        try:
+            json.touch()
+        except OSError as error:
+            raise InputError(f"cannot write {json}: {error.strerror}; choose another") from None
+    with messages.status("Measuring, one thread; leave the machine alone"):
+        rows = bench.run(quick)
+    if json is not None:
+        json.write_text(bench.to_json(rows))
+    console.print(bench.report(rows))
 
 
 @app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})

@@ -18,12 +18,13 @@ from sim_world.scenario import SECTION as WORLD_SECTION
 from sim_world.scenario import Scenario
 from sim_world.team import team_scenario
 
-END_S = 2.8
+END_S = 2.5
 """How long the processes may take to end, all together."""
-RECORDER_S = 0.8
+RECORDER_S = 0.7
 """How much of it is the recorder's, which ends last."""
 IDLE_S = 2.0
-"""Silence after which the fusion takes the exploration for over."""
+IDLE_PERIODS = 4
+"""Silence after which the fusion takes the exploration for over: so long, and so many frames."""
 
 
 def configure(scenario: str, robots: int | None, seed: int) -> str:
@@ -44,7 +45,8 @@ def record(folder: Path, scenario: Path, seed: int, speed: float) -> None:
     os.environ.setdefault("RCUTILS_CONSOLE_OUTPUT_FORMAT", "[{severity}] {name}: {message}")
     print(f"ROS_DOMAIN_ID={os.environ['ROS_DOMAIN_ID']} lets other ROS tools listen", flush=True)
     bag = folder / "bag"
-    robots = ",".join(settings.from_file(Config, scenario, SECTION).robots)
+    world = settings.from_file(Scenario, scenario, WORLD_SECTION)
+    idle_s = max(IDLE_S, IDLE_PERIODS * world.period_s / speed if speed else 0.0)
     shared = f"scenario:={scenario}"
     pace = f"seed:={seed}", f"speed:={speed}", "subscribers:=2", "truth_subscribers:=1"
     processes: list[Popen] = []
@@ -55,10 +57,12 @@ def record(folder: Path, scenario: Path, seed: int, speed: float) -> None:
 
     with _stops_noted() as stops:
         try:
-            recorder = start("multi_robot_slam.recorder", f"out:={bag}", f"robots:=[{robots}]")
-            fusion = start("multi_robot_slam.fusion", shared, f"stop_after_s:={IDLE_S}")
-            world = start("sim_world.robots", shared, *pace)
-            failed = _wait(world, [fusion, recorder], stops) or _wait(fusion, [recorder], stops)
+            recorder = start(
+                "multi_robot_slam.recorder", f"out:={bag}", f"robots:=[{','.join(world.names)}]"
+            )
+            fusion = start("multi_robot_slam.fusion", shared, f"stop_after_s:={idle_s}")
+            robots = start("sim_world.robots", shared, *pace)
+            failed = _wait(robots, [fusion, recorder], stops) or _wait(fusion, [recorder], stops)
         finally:
             _end(processes)
     if failed:

@@ -35,5 +35,5 @@ def _draw_run(name: str, base: Base, trial: Trial, folder: Path) -> list[Path]:
             "fig3b": figures.map_figure(run, particles),
         }
     for title, sheet in sheets.items():
-        sheet.savefig(folder / f"{title}.png", dpi=plots.DPI)
+        sheet.savefig(folder / f"{title}.png", dpi=plots.DPI, bbox_inches="tight")
     return [folder / f"{title}.png" for title in sheets]

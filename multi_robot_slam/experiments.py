@@ -39,8 +39,8 @@ class Grid:
 
     particles: tuple[int, ...] = (1, 10, 50, 100, 200, 300, 400, 500, 1000, 1500, 2000)
     d_max_m: tuple[float, ...] = (4.0, 6.0, 8.0, 10.0, 12.0, 14.0)
-    """E_0 = 0.04 refuses half of the true matches at 0.0125: 2 * 128 * 0.0125^2 = 0.04 (19)."""
     descriptor_noise: tuple[float, ...] = (0.0, 0.005, 0.01, 0.011, 0.012, 0.013, 0.014, 0.016)
+    """E_0 = 0.04 refuses half of the true matches at 0.0125: 2 * 128 * 0.0125^2 = 0.04 (19)."""
     observations: tuple[int, ...] = (0, 1, 5, 10, 15, 20, 25)
 
 
@@ -84,14 +84,15 @@ class Exploration:
 
 
 def paper() -> Base:
-    """The paper's world and parameters (Table 2)."""
+    """The paper's world and parameters (Table 2). Filters use one thread: runs share the cores."""
     path = settings.find_scenario("paper")
+    filters = {
+        "motion": settings.from_file(Config, path, SECTION).filter,
+        "informed": FilterSettings(),
+    }
     return Base(
         settings.from_file(Scenario, path, WORLD_SECTION),
-        {
-            "motion": settings.from_file(Config, path, SECTION).filter,
-            "informed": FilterSettings(),
-        },
+        {name: replace(own, threads=1) for name, own in filters.items()},
     )
 
 

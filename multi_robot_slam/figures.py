@@ -14,6 +14,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator, NullFormatter
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
 from msg_defs.types import CameraMount, ObservationSet
@@ -29,7 +30,7 @@ LINES = {"motion": "-", "informed": "--"}
 PROPOSALS = {"motion": "paper's proposal", "informed": "informed proposal"}
 REFERENCES = {"odometry_path_rmse_m": (":", "odometry"), "batch_path_rmse_m": ("-.", "batch")}
 PATH, MAP = "path_rmse_m", "map_rmse_m"
-SPREAD = 0.05
+SPREAD = 0.04
 """Shift between the lines of a panel, so that their bars do not hide each other."""
 
 Value = Callable[[Trial, Result], float | None]
@@ -120,6 +121,10 @@ def _scale(axes: Axes, panel: Panel, runs: dict[Trial, Result], x_name: str) -> 
     axes.set_axisbelow(True)
     if panel.is_log:
         axes.set(xscale="log", yscale="log", ylim=_log_limits(panel, runs))
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+            axis.set_major_formatter("{x:g}")
+            axis.set_minor_formatter(NullFormatter())
     else:
         x = sorted({getattr(trial, x_name) for trial in runs})
         axes.set_xlim(x[0], x[-1])
@@ -257,7 +262,7 @@ def view(true_pose: np.ndarray, seen: ObservationSet, mount: CameraMount) -> Vie
 
 def world_figure(run: Run, views: list[View]) -> Figure:
     """The walls, the true landmarks and what the robots observe (paper fig. 3(a))."""
-    sheet = Figure((10.0, 6.5), layout="constrained")
+    sheet = Figure((10.0, 9.0), layout="constrained")
     axes = sheet.add_subplot(projection="3d")
     _draw_walls(axes, run)
     axes.scatter(*run.true_landmarks.positions.T, marker="*", s=16, color="#555555", linewidths=0)
@@ -268,7 +273,7 @@ def world_figure(run: Run, views: list[View]) -> Figure:
         )
         axes.scatter(*seen.eye, color=colour, s=40, depthshade=False, label=robot)
     axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]", zticks=[0, 1, 2])
-    axes.set_box_aspect((30, 30, 5), zoom=1.15)
+    axes.set_box_aspect((30, 30, 5))
     axes.view_init(elev=50, azim=-70)
     axes.legend(loc="upper left", frameon=False)
     return sheet

@@ -30,6 +30,8 @@ from multi_robot_slam.filter.motion import increment, wrap
 
 LATE_REMEDY = "raise reorder_window_s, or synchronise the robots' clocks"
 NO_ODOMETRY = "frame without odometry"
+MOST_ODOMETRY = 20_000
+"""Odometry samples kept for frames to come: minutes at any usual rate."""
 
 
 class Pipeline:
@@ -207,7 +209,7 @@ class _Robot:
         self.waiting: deque[ObservationSet] = deque()
         self.newest_ns = -1
         self.used_pose = np.zeros(3)
-        self._odometry: deque[PoseSample] = deque()
+        self._odometry: deque[PoseSample] = deque(maxlen=MOST_ODOMETRY)
         self._has_moved = False
 
     @property

@@ -1,11 +1,13 @@
 """Runs a function on many jobs: on the cores of this machine, or on a Dask cluster."""
 
+import logging
 import multiprocessing
 import os
+import re
 import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import CancelledError, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import connection
@@ -16,6 +18,7 @@ from msg_defs.errors import InputError
 Job = TypeVar("Job")
 Answer = TypeVar("Answer")
 
+ADDRESS = re.compile(r"tcp://[^/:]+:\d{1,5}")
 CONNECT_S = 3.0
 """How long to try to reach a scheduler, and then to wait for its first worker."""
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
@@ -34,9 +37,9 @@ def local(
     with _one_thread_each():
         pool = ProcessPoolExecutor(count, context, initializer=_end_with_parent)
         try:
-            futures = {pool.submit(function, job): job for job in jobs}
-            for future in as_completed(futures):
-                yield futures.pop(future), future.result()
+            jobs_of = {pool.submit(function, job): job for job in jobs}
+            for future in as_completed(jobs_of):
+                yield jobs_of.pop(future), future.result()
         except BrokenProcessPool:
             raise InputError(
                 "a process of the experiment was killed, perhaps for want of memory; the same "
@@ -53,22 +56,29 @@ def on_cluster(
 
     The workers need this package. Jobs of a worker that is lost are done by the others.
     """
+    if not ADDRESS.fullmatch(scheduler):
+        raise InputError(f"scheduler = '{scheduler}': give tcp://host:port")
     try:
-        from distributed import Client, as_completed
+        import distributed
     except ModuleNotFoundError:
         raise InputError("no Dask here: pip install 'multi_robot_slam[dask]'") from None
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # it raises as well
     try:
-        client = Client(scheduler, timeout=CONNECT_S, set_as_default=False)
-    except (OSError, ValueError) as error:
+        client = distributed.Client(scheduler, timeout=CONNECT_S, set_as_default=False)
+    except OSError as error:
         raise InputError(f"no Dask scheduler at {scheduler}: {error}; start one there") from None
     with client:
         try:
             client.wait_for_workers(1, timeout=CONNECT_S)
         except TimeoutError:
             raise InputError(f"the scheduler {scheduler} has no workers; start some") from None
-        futures = {f: job for job, f in ((j, client.submit(function, j, pure=False)) for j in jobs)}
-        for future in as_completed(futures):
-            yield futures.pop(future), future.result()
+        jobs_of = {client.submit(function, job, pure=False): job for job in jobs}
+        try:
+            for future in distributed.as_completed(jobs_of, loop=client.loop):
+                yield jobs_of.pop(future), future.result()
+        except (CancelledError, distributed.KilledWorker) as error:
+            reason = str(error).splitlines()[0]
+            raise InputError(f"{reason} The same command goes on where it stopped") from None
 
 
 @contextmanager

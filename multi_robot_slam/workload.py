@@ -27,7 +27,7 @@ class World:
 
     Attributes
     ----------
-    seen : the landmarks that have been observed so far.
+    seen : the landmarks observed so far; seen_before : so far but for the latest frames.
     latest : for each robot the (B,) landmarks of its latest frame.
 
     """
@@ -50,6 +50,7 @@ class World:
         self._passed = np.arange(robots) * (landmarks / robots)
         self._stamp_ns = 0
         self.seen: set[int] = set()
+        self.seen_before: set[int] = set()
         self.latest: list[np.ndarray] = []
 
     def poses(self) -> np.ndarray:
@@ -63,11 +64,12 @@ class World:
         before = self.poses()
         if self.latest:
             self._passed += landmarks
-        self.seen.update(int(n) for numbers in self.latest for n in numbers)
         self._stamp_ns += 100_000_000
         first = np.ceil(self._passed + AHEAD_M / SPACING_M).astype(int)
         count = len(self._landmarks)
         self.latest = [np.arange(n, n + self._observations) % count for n in first]
+        self.seen_before = set(self.seen)
+        self.seen.update(np.concatenate(self.latest).tolist())
         return [
             RobotFrame(robot, self._stamp_ns, self._odometry(old, new), self._observe(new, numbers))
             for robot, (old, new, numbers) in enumerate(

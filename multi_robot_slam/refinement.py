@@ -1,0 +1,176 @@
+"""Batch smoothing of a whole run: the filter's answer refined, and the yardstick it is held to."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from msg_defs.errors import InputError
+from msg_defs.types import LandmarkMap, Trajectory
+from multi_robot_slam.config import Config
+from multi_robot_slam.filter import smoothing, stereo
+from multi_robot_slam.filter.association import squared_distances
+from multi_robot_slam.filter.history import Record
+from multi_robot_slam.filter.motion import wrap
+from multi_robot_slam.filter.smoothing import Problem, Smoothed
+
+Lineage = Sequence[tuple[Record, int]]
+"""The past of one particle, oldest first: its row in each record (`Pipeline.lineage`)."""
+
+MAX_FRAMES = 5000
+"""More would need over 2 GB, and minutes: time grows with their cube."""
+
+
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """The most likely paths and map, given what the best particle took for what."""
+
+    paths: dict[str, Trajectory]
+    landmarks: LandmarkMap
+    """With marginal covariances; a landmark the filter had split keeps the oldest of its ids."""
+
+
+def refine(lineage: Lineage, landmarks: LandmarkMap, config: Config) -> Refined:
+    """Smooth over the best particle's associations, robustly, and join landmarks it had split.
+
+    A particle that misses a loop creates landmarks anew, and smoothing alone cannot know. So: smooth,
+    join the pairs of landmarks that look alike (E <= E_0) and lie together (D <= D_0, with the joint
+    covariance that the smoothing gives them), and repeat until nothing joins.
+
+    Parameters
+    ----------
+    lineage : the best particle's past; `landmarks` : its map (`Pipeline.landmark_map`).
+
+    """
+    if not lineage:
+        return Refined({}, landmarks)
+    records = [record for record, _ in lineage]
+    poses = np.array([record.poses[:, row] for record, row in lineage])
+    seen = [np.searchsorted(landmarks.ids, record.matches[:, row]) for record, row in lineage]
+    alike = _alike(landmarks.descriptors, config.filter.descriptor_gate)
+    owner = np.arange(len(landmarks.ids))
+    while True:
+        problem = _problem(records, [owner[rows] for rows in seen], config)
+        smoothed = smoothing.smooth(problem, poses, robust_above=config.filter.gate)
+        poses = smoothed.poses
+        deviations = smoothing.landmark_deviations(problem, smoothed)
+        pairs = np.searchsorted(problem.ids, _distinct(owner[alike]))
+        joined = _together(problem, smoothed, deviations, pairs, config)
+        if not len(joined):
+            break
+        heir = np.arange(len(owner))
+        heir[problem.ids[joined[:, 1]]] = problem.ids[joined[:, 0]]
+        owner = heir[owner]
+    return Refined(
+        _trajectories(records, poses, config),
+        _map(problem, smoothed, deviations, landmarks),
+    )
+
+
+def yardstick(
+    lineage: Lineage, truth: Mapping[tuple[str, int], np.ndarray], config: Config
+) -> dict[str, Trajectory] | None:
+    """The best answer there is: paths by least squares with the true associations.
+
+    Parameters
+    ----------
+    lineage : any particle's past; only where it starts the search from is its own.
+    truth : (robot, stamp_ns) -> (B,) true landmark of each observation; with one frame missing there
+        is no yardstick.
+
+    """
+    records = [record for record, _ in lineage]
+    keys = [(config.robots[record.robot], record.stamp_ns) for record in records]
+    if not records or any(key not in truth for key in keys):
+        return None
+    poses = np.array([record.poses[:, row] for record, row in lineage])
+    problem = _problem(records, [truth[key] for key in keys], config)
+    return _trajectories(records, smoothing.smooth(problem, poses).poses, config)
+
+
+def _problem(records: Sequence[Record], identities: list[np.ndarray], config: Config) -> Problem:
+    if len(records) > MAX_FRAMES:
+        raise InputError(
+            f"{len(records)} frames are too many to smooth at once; take a part of the run with "
+            f"{MAX_FRAMES} frames or fewer"
+        )
+    starts = np.array(config.start_poses)
+    return smoothing.problem_of(records, identities, starts, config.filter.motion, config.mount)
+
+
+def _alike(descriptors: np.ndarray, threshold: float) -> np.ndarray:
+    """(A, 2) rows of descriptors with E <= `threshold`, the smaller row first."""
+    distances = squared_distances(descriptors, descriptors)
+    return np.argwhere(np.triu(distances <= threshold, k=1))
+
+
+def _distinct(pairs: np.ndarray) -> np.ndarray:
+    """Each pair (A, 2) of different members once, the smaller first."""
+    pairs = np.unique(np.sort(pairs, axis=1), axis=0)
+    return pairs[pairs[:, 0] < pairs[:, 1]]
+
+
+def _together(
+    problem: Problem,
+    smoothed: Smoothed,
+    deviations: np.ndarray,
+    pairs: np.ndarray,
+    config: Config,
+) -> np.ndarray:
+    """The closest of `pairs` (A, 2) within the gate, each landmark in one pair at the most."""
+    apart = smoothed.landmarks[pairs[:, 0], :3] - smoothed.landmarks[pairs[:, 1], :3]
+    covariances = stereo.unpack(smoothed.landmarks[pairs, 3:].sum(axis=1))
+    for pair, covariance in zip(pairs, covariances, strict=True):
+        shared = deviations[pair[0]] - deviations[pair[1]]
+        covariance += shared @ shared.T
+    squared = np.einsum("ai,ai->a", apart, np.linalg.solve(covariances, apart[:, :, None])[:, :, 0])
+    chosen, taken = [], set()
+    for row in np.argsort(squared, kind="stable"):
+        pair = pairs[row]
+        if squared[row] > config.filter.gate:
+            break
+        if taken.isdisjoint(pair.tolist()) and not (
+            config.filter.exclusive and _seen_together(problem, *pair)
+        ):
+            chosen.append(pair)
+            taken.update(pair.tolist())
+    return np.array(chosen, int).reshape(-1, 2)
+
+
+def _seen_together(problem: Problem, one: int, other: int) -> bool:
+    """Some frame has observations of both: they are two."""
+    frames = [problem.seen_from[slice(*problem.starts[n : n + 2])] for n in (one, other)]
+    return bool(len(np.intersect1d(*frames)))
+
+
+def _trajectories(
+    records: Sequence[Record], poses: np.ndarray, config: Config
+) -> dict[str, Trajectory]:
+    robots = np.array([record.robot for record in records])
+    stamps = np.array([record.stamp_ns for record in records], np.int64)
+    wrapped = np.column_stack([poses[:, :2], wrap(poses[:, 2])])
+    return {
+        config.robots[robot]: Trajectory(stamps[robots == robot], wrapped[robots == robot])
+        for robot in np.unique(robots)
+    }
+
+
+def _map(
+    problem: Problem, smoothed: Smoothed, deviations: np.ndarray, landmarks: LandmarkMap
+) -> LandmarkMap:
+    shared = stereo.pack(deviations @ deviations.transpose(0, 2, 1))
+    robots = np.zeros(len(problem.ids), np.uint32)
+    np.bitwise_or.at(robots, problem.landmarks, _bits(problem))
+    return LandmarkMap(
+        ids=landmarks.ids[problem.ids],
+        positions=smoothed.landmarks[:, :3].astype(np.float32),
+        covariances=(smoothed.landmarks[:, 3:] + shared).astype(np.float32),
+        observations=np.diff(problem.starts).astype(np.uint32),
+        robots=robots,
+        descriptors=landmarks.descriptors[problem.ids],
+    )
+
+
+def _bits(problem: Problem) -> np.ndarray:
+    """(O,) the bit of the robot that made each observation."""
+    return np.uint32(1) << problem.robots[problem.seen_from].astype(np.uint32)
