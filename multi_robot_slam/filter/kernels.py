@@ -372,14 +372,19 @@ def bound(planes, columns, reach, boxes):
     `reach` = sqrt(D_0). A landmark that some particle does not have has a box without end.
     """
     for column in columns:
-        x_low = y_low = np.inf
-        x_high = y_high = xx = yy = -np.inf
         mean_x, mean_y = planes[column, 0], planes[column, 1]
         cov_xx, cov_yy = planes[column, 3], planes[column, 6]
+        x_low = x_high = mean_x[0]
+        y_low = y_high = mean_y[0]
+        xx, yy = cov_xx[0], cov_yy[0]
         for m in range(mean_x.size):
-            x_low, x_high = min(x_low, mean_x[m]), max(x_high, mean_x[m])
-            y_low, y_high = min(y_low, mean_y[m]), max(y_high, mean_y[m])
-            xx, yy = max(xx, cov_xx[m]), max(yy, cov_yy[m])
+            x, y, p_xx, p_yy = mean_x[m], mean_y[m], cov_xx[m], cov_yy[m]
+            x_low = x if x < x_low else x_low
+            x_high = x if x > x_high else x_high
+            y_low = y if y < y_low else y_low
+            y_high = y if y > y_high else y_high
+            xx = p_xx if p_xx > xx else xx
+            yy = p_yy if p_yy > yy else yy
         x_margin, y_margin = reach * np.sqrt(xx), reach * np.sqrt(yy)
         boxes[column, 0], boxes[column, 1] = x_low - x_margin, x_high + x_margin
         boxes[column, 2], boxes[column, 3] = y_low - y_margin, y_high + y_margin

@@ -315,7 +315,12 @@ def _columns(candidates: np.ndarray, new_columns: np.ndarray) -> np.ndarray:
 
 def _as_seen(poses: np.ndarray, dtype: np.dtype) -> np.ndarray:
     """(4, M) cos yaw, sin yaw, x, y of `poses` (3, M)."""
-    return np.stack([np.cos(poses[2]), np.sin(poses[2]), poses[0], poses[1]]).astype(dtype)
+    seen = np.empty((4, poses.shape[1]), dtype)
+    yaw = poses[2].astype(dtype)
+    np.cos(yaw, out=seen[0])
+    np.sin(yaw, out=seen[1])
+    seen[2:] = poses[:2]
+    return seen
 
 
 def resample(state: State, ancestors: np.ndarray) -> None:
