@@ -51,6 +51,10 @@ def pose(robot: str) -> Topic:
     return Topic(f"{robot}/pose", "geometry_msgs/msg/PoseWithCovarianceStamped")
 
 
+def mean_pose(robot: str) -> Topic:
+    return Topic(f"{robot}/mean_pose", "geometry_msgs/msg/PoseWithCovarianceStamped")
+
+
 def path(robot: str) -> Topic:
     return Topic(f"{robot}/path", "nav_msgs/msg/Path", LATCHED)
 

@@ -169,7 +169,12 @@ class Estimate:
     pose: np.ndarray
     """(3,) float64: x [m], y [m], yaw [rad] of the best particle (17), in `map`."""
     covariance: np.ndarray
-    """(3, 3) float64: covariance of the particle set [m^2, m rad, rad^2]."""
+    """(3, 3) float64: covariance of the particle set around its mean [m^2, m rad, rad^2]."""
+    mean: np.ndarray | None = None
+    """(3,) float64: x [m], y [m], yaw [rad], weighted mean of the particle set, in `map`.
+
+    Taken with the covariance right after weighing. None where it was not recorded.
+    """
 
 
 @dataclass(frozen=True, eq=False)

@@ -69,6 +69,9 @@ def run(
     ] = None,
     particles: Annotated[int | None, typer.Option(min=1, help="Number of particles M.")] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Seed of the filter.")] = None,
+    refine: Annotated[
+        bool, typer.Option("--refine", help="Then smooth over the best particle's associations.")
+    ] = False,
 ) -> None:
     """Estimate paths and map from a recorded bag, as fast as the filter goes; no ROS needed."""
     config = _configuration(bag, scenario, particles, seed)
@@ -80,6 +83,7 @@ def run(
             config,
             warn=lambda text: messages.print(text, style="yellow", markup=False),
             on_step=lambda step: progress.update(task, completed=step.step),
+            refine=refine,
         )
     _finish(result, folder)
 
@@ -90,7 +94,37 @@ def evaluate(
 ) -> None:
     """Judge a live run: DIR/bag against the ground truth in it. Prints and writes the results."""
     bag = folder / "bag" if (folder / "bag").exists() else folder
-    _finish(runs.from_bag(bag), folder)
+    _finish(offline.live(bag), folder)
+
+
+@app.command()
+def accuracy(
+    repeats: Annotated[int, typer.Option(min=1, help="Seeds of each team.")] = 20,
+    particles: Annotated[
+        str, typer.Option(help="Numbers of particles, with commas between.")
+    ] = "10,100,500,2000",
+    resample_below: Annotated[
+        float, typer.Option(min=0, max=1, help="Share of effective particles to resample below.")
+    ] = 0.5,
+    out: Annotated[Path, typer.Option(help="Folder to write.")] = Path("runs/accuracy"),
+) -> None:
+    """How close filter and refinement come to least squares with the true associations.
+
+    Prints and writes mean and spread over seeds, for 1 to 3 robots and both proposals.
+    """
+    from multi_robot_slam import accuracy, experiments, scheduling
+
+    with _progress() as progress:
+        task = progress.add_task("explorations", total=None)
+        rows = accuracy.study(
+            repeats,
+            experiments.particle_numbers(particles),
+            resample_below,
+            scheduling.local,
+            lambda done, total: progress.update(task, completed=done, total=total),
+        )
+    accuracy.write(rows, out)
+    typer.echo(accuracy.markdown(rows))
 
 
 @app.command()

@@ -13,11 +13,34 @@ from rich.table import Table
 from rich.text import Text
 
 from msg_defs.errors import InputError
-from msg_defs.types import Trajectory
+from msg_defs.types import LandmarkMap, Trajectory
 from multi_robot_slam.runs import RobotRun, Run
 
 MIN_OVERLAP = 0.5
 """Share of an estimate's poses that must lie within the time span of the truth."""
+
+
+COLUMNS = {
+    "odometry_path_rmse_m": "path [m]\nodometry",
+    "path_rmse_m": "path [m]\nestimate",
+    "mean_path_rmse_m": "path [m]\nmean",
+    "refined_path_rmse_m": "path [m]\nrefined",
+    "batch_path_rmse_m": "path [m]\nyardstick",
+    "odometry_heading_rmse_rad": "heading [rad]\nodometry",
+    "heading_rmse_rad": "heading [rad]\nestimate",
+    "map_rmse_m": "map [m]\nestimate",
+    "refined_map_rmse_m": "map [m]\nrefined",
+}
+"""Figures in the table, and the heads of their columns."""
+
+ALWAYS_SHOWN = {
+    "odometry_path_rmse_m",
+    "path_rmse_m",
+    "odometry_heading_rmse_rad",
+    "heading_rmse_rad",
+    "map_rmse_m",
+}
+"""The others are shown where the run has them."""
 
 
 class PoseErrors(NamedTuple):
@@ -38,6 +61,14 @@ class RobotErrors(NamedTuple):
     """Of the odometry alone, composed onto the start pose."""
     online: PoseErrors
     """Of the poses as published at each step."""
+    online_mean: PoseErrors
+    """Of the particles' means as published at each step."""
+    mean: PoseErrors
+    """Of the mean of all particles' whole paths at the end."""
+    refined: PoseErrors
+    """Of the path smoothed over the best particle's associations."""
+    batch: PoseErrors
+    """Of the yardstick: the path smoothed over the true associations."""
 
 
 class Associations(NamedTuple):
@@ -113,6 +144,10 @@ def robot_errors(run: Run) -> dict[str, RobotErrors]:
             path=pose_errors(robot.path, robot.truth, f"path of {name}"),
             odometry=pose_errors(odometry_in_map(robot), robot.truth, f"odometry of {name}"),
             online=pose_errors(robot.online, robot.truth, f"published poses of {name}"),
+            online_mean=pose_errors(robot.online_mean, robot.truth, f"published means of {name}"),
+            mean=pose_errors(robot.mean, robot.truth, f"mean path of {name}"),
+            refined=pose_errors(robot.refined, robot.truth, f"refined path of {name}"),
+            batch=pose_errors(robot.batch, robot.truth, f"yardstick of {name}"),
         )
         for name, robot in run.robots.items()
         if robot.truth is not None
@@ -173,13 +208,44 @@ def association_quality(
     return _share(right, ~observed.is_new), _share(right, known)
 
 
-def map_errors_m(run: Run, origin: Origins) -> np.ndarray:
-    """(A,) float64: 3D distance of each attributed landmark from its true place [m]."""
-    ids = run.landmarks.ids.tolist()
+def map_errors(
+    landmarks: LandmarkMap, true_landmarks: LandmarkMap, origin: Origins
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rows (A,) of the attributed landmarks, and how far (A, 3) each is from its true place [m]."""
+    ids = landmarks.ids.tolist()
     attributed = [row for row, landmark in enumerate(ids) if landmark in origin.landmarks]
     sources = [origin.landmarks[ids[row]] for row in attributed]
-    estimated = run.landmarks.positions[attributed].astype(float)
-    return np.linalg.norm(estimated - run.true_landmarks.positions[sources], axis=1)
+    errors = landmarks.positions[attributed].astype(float) - true_landmarks.positions[sources]
+    return np.array(attributed, int), errors
+
+
+def nees(errors: np.ndarray, covariances: np.ndarray) -> float | None:
+    """Average normalised estimation error squared of (n, 3) `errors`, 3 if (n, 3, 3) are right.
+
+    A singular covariance claims certainty, which no error can be held to: it is left out. So is
+    the known start, and the spread of three particles or fewer. None if nothing is left.
+    """
+    regular = np.linalg.matrix_rank(covariances, hermitian=True) == errors.shape[1]
+    if not regular.any():
+        return None
+    errors, covariances = errors[regular], covariances[regular]
+    whitened = np.linalg.solve(covariances, errors[:, :, None])[:, :, 0]
+    return float(np.mean(np.sum(errors * whitened, axis=1)))
+
+
+def pose_nees(run: Run) -> float | None:
+    """NEES of the particles' mean and covariance at each step, all robots pooled."""
+    errors, covariances = [np.empty((0, 3))], [np.empty((0, 3, 3))]
+    for step in run.steps:
+        for estimate in step.estimates:
+            truth, stamps = run.robots[estimate.robot].truth, np.array([estimate.stamp_ns])
+            if truth is None or estimate.mean is None or not _covers(truth, stamps)[0]:
+                continue
+            error = estimate.mean - _at(truth, stamps)
+            error[:, 2] = wrap(error[:, 2])
+            errors.append(error)
+            covariances.append(estimate.covariance[None])
+    return nees(np.concatenate(errors), np.concatenate(covariances))
 
 
 def rmse(errors: np.ndarray) -> float | None:
@@ -193,8 +259,13 @@ def evaluate(run: Run) -> dict:
     """Every figure of merit of a run, ready for `result.json`.
 
     `path_rmse_m`, `heading_rmse_rad`: of the best particle's whole path at the end, over all poses
-    of all robots pooled; `odometry_...` of the odometry, `online_...` of the poses as published.
-    `map_rmse_m`: of the final map's landmarks against the true place of their origin.
+    of all robots pooled; `odometry_...` of the odometry, `online_...` of the poses as published,
+    `online_mean_...` of the means as published, `mean_...` of the mean of all particles' paths,
+    `refined_...` of the path smoothed over the best particle's associations, `batch_...` of the
+    yardstick, the path smoothed over the true ones.
+    `pose_nees`: normalised error of mean and covariance as published; 3 is consistent.
+    `map_rmse_m`: of the final map's landmarks against the true place of their origin; `refined_...`
+    after smoothing; `landmark_nees`: their normalised error, given the best particle's path.
     `duplicates`: landmarks of the final map beyond the first of each true landmark.
     `landmarks_by_majority`, `landmarks_unattributed`: how many of the final map's landmarks have an
     origin by majority, or none, and then no part in map error and duplicates (see `origins`).
@@ -203,11 +274,8 @@ def evaluate(run: Run) -> dict:
     durations = [step.duration_ms for step in run.steps]
     return {
         **_pose_figures(list(errors.values())),
-        "mean_path_rmse_m": None,
-        "refined_path_rmse_m": None,
-        "batch_path_rmse_m": None,
+        "pose_nees": pose_nees(run),
         **_map_figures(run),
-        "refined_map_rmse_m": None,
         "step_ms_mean": float(np.mean(durations)) if durations else None,
         "step_ms_p99": float(np.percentile(durations, 99)) if durations else None,
         "steps": len(run.steps),
@@ -222,20 +290,19 @@ def evaluate(run: Run) -> dict:
 
 def table(result: dict) -> Table:
     """The errors in `result` (from `evaluate`), a row per robot and one for the team."""
+    columns = [
+        (key, title)
+        for key, title in COLUMNS.items()
+        if key in ALWAYS_SHOWN or result[key] is not None
+    ]
     shown = Table(title="RMS error", title_justify="left")
     shown.add_column("")
-    for column in (
-        "path [m]\nodometry",
-        "path [m]\nestimate",
-        "heading [rad]\nodometry",
-        "heading [rad]\nestimate",
-        "map [m]\nestimate",
-    ):
-        shown.add_column(Text(column), justify="right")
+    for _, title in columns:
+        shown.add_column(Text(title), justify="right")
     for name, figures in result["robots"].items():
-        shown.add_row(name, *_cells(figures), "")
+        shown.add_row(name, *(_cell(figures, key) for key, _ in columns))
     shown.add_section()
-    shown.add_row("team", *_cells(result), _number(result["map_rmse_m"]), style="bold")
+    shown.add_row("team", *(_cell(result, key) for key, _ in columns), style="bold")
     return shown
 
 
@@ -254,6 +321,11 @@ def _at(path: Trajectory, stamps_ns: np.ndarray) -> np.ndarray:
     return np.column_stack([np.interp(times, known, f) for f in (x, y, np.unwrap(yaw))])
 
 
+def _full(covariances: np.ndarray) -> np.ndarray:
+    """(n, 6) `xx xy xz yy yz zz` -> (n, 3, 3) float64."""
+    return covariances[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].astype(float).reshape(-1, 3, 3)
+
+
 def _winner(count: Counter) -> int:
     return min(count, key=lambda truth: (-count[truth], truth))
 
@@ -266,13 +338,14 @@ def _pose_figures(errors: list[RobotErrors]) -> dict:
     def pooled(name: str) -> np.ndarray:
         return np.concatenate([np.empty((0, 3)), *(getattr(e, name).errors for e in errors)])
 
-    path, odometry, online = pooled("path"), pooled("odometry"), pooled("online")
+    path, odometry = pooled("path"), pooled("odometry")
+    others = ("online", "online_mean", "mean", "refined", "batch")
     return {
         "path_rmse_m": rmse(path[:, :2]),
         "heading_rmse_rad": rmse(path[:, 2]),
         "odometry_path_rmse_m": rmse(odometry[:, :2]),
         "odometry_heading_rmse_rad": rmse(odometry[:, 2]),
-        "online_path_rmse_m": rmse(online[:, :2]),
+        **{f"{name}_path_rmse_m": rmse(pooled(name)[:, :2]) for name in others},
     }
 
 
@@ -290,7 +363,7 @@ def _map_figures(run: Run) -> dict:
         "landmarks_unattributed": len(in_map) - len(sources),
     }
     return {
-        "map_rmse_m": rmse(map_errors_m(run, origin)) if run.true_landmarks else None,
+        **_place_figures(run, origin),
         "landmarks": len(in_map),
         **{name: value if has_truth else None for name, value in figures.items()},
         "association_precision": precision,
@@ -298,15 +371,22 @@ def _map_figures(run: Run) -> dict:
     }
 
 
-def _cells(figures: dict) -> list[str]:
-    names = (
-        "odometry_path_rmse_m",
-        "path_rmse_m",
-        "odometry_heading_rmse_rad",
-        "heading_rmse_rad",
-    )
-    return [_number(figures[name]) for name in names]
+def _place_figures(run: Run, origin: Origins) -> dict:
+    if run.true_landmarks is None:
+        return dict.fromkeys(("map_rmse_m", "refined_map_rmse_m", "landmark_nees"))
+    rows, errors = map_errors(run.landmarks, run.true_landmarks, origin)
+    refined = np.empty((0, 3))
+    if run.refined_landmarks is not None:
+        _, refined = map_errors(run.refined_landmarks, run.true_landmarks, origin)
+    return {
+        "map_rmse_m": rmse(errors),
+        "refined_map_rmse_m": rmse(refined),
+        "landmark_nees": nees(errors, _full(run.landmarks.covariances[rows])),
+    }
 
 
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3f}"
+def _cell(figures: dict, key: str) -> str:
+    """A robot has no map of its own."""
+    if key not in figures:
+        return ""
+    return "-" if figures[key] is None else f"{figures[key]:.3f}"

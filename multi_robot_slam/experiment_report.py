@@ -23,13 +23,14 @@ def write(rows: Rows, base: Base, folder: Path) -> list[Path]:
 def _draw_run(name: str, base: Base, trial: Trial, folder: Path) -> list[Path]:
     """Draw figure 3 or 4 from its run, which is done again."""
     exploration = experiments.explore(base, trial)
-    run, particles = experiments.estimate(exploration, experiments.filter_of(base, trial))
+    run, pipeline = experiments.estimate(exploration, experiments.filter_of(base, trial))
     if name == "fig4":
         sheets = {"fig4": plots.error_figure(run)}
     else:
         halfway = exploration.instants[len(exploration.instants) // 2]
         mount = exploration.scenario.camera.mount
         views = [figures.view(r.truth.pose, r.observations, mount) for r in halfway]
+        particles = {robot: pipeline.particles(robot) for robot in run.robots}
         sheets = {
             "fig3a": figures.world_figure(run, views),
             "fig3b": figures.map_figure(run, particles),

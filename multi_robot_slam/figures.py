@@ -133,8 +133,11 @@ def _scale(axes: Axes, panel: Panel, runs: dict[Trial, Result], x_name: str) -> 
 
 
 def _log_limits(panel: Panel, runs: dict[Trial, Result]) -> tuple[float, float] | None:
-    """Limits that show every run: a bar that reaches below zero leaves the panel."""
-    values = [panel.value(*run) for run in runs.items() if panel.keep(run[0])]
+    """Limits that show every run and reference: a bar below zero leaves the panel."""
+    names = REFERENCES if panel.has_references else ()
+    shown = [run for run in runs.items() if panel.keep(run[0])]
+    values = [panel.value(*run) for run in shown]
+    values += [result[name] for _, result in shown for name in names]
     known = [value for value in values if value]
     return (min(known) / 1.3, max(known) * 1.3) if known else None
 

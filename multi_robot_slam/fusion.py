@@ -90,7 +90,7 @@ class Fusion(node.EdgeNode):
         self._publish_diagnostics()
 
     def _output_topics(self) -> list[topics.Topic]:
-        of_each = (topics.pose, topics.path, topics.particles)
+        of_each = (topics.pose, topics.mean_pose, topics.path, topics.particles)
         wants_tf = self._settings.publish_tf and node.is_available(topics.TF)
         return [
             topics.FUSION_CONFIG,
@@ -130,6 +130,7 @@ class Fusion(node.EdgeNode):
             self._publish(topics.STEPS, wire.encode_step(step))
             for estimate in step.estimates:
                 self._publish(topics.pose(estimate.robot), wire.encode_estimate(estimate))
+                self._publish(topics.mean_pose(estimate.robot), wire.encode_mean(estimate))
                 newest[estimate.robot] = estimate
         if topics.TF in self._outputs:
             for estimate in newest.values():

@@ -1,12 +1,13 @@
 """Bag in, estimates out, as fast as the filter goes; no ROS."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 from msg_defs import settings, topics, wire
 from msg_defs.errors import InputError
 from msg_defs.types import Event, StepRecord
-from multi_robot_slam import runs
+from multi_robot_slam import refinement, runs
 from multi_robot_slam.bags import BagReader, absolute
 from multi_robot_slam.config import SECTION, Config
 from multi_robot_slam.pipeline import Pipeline
@@ -60,6 +61,7 @@ def estimate(
     config: Config,
     warn: Callable[[str], None],
     on_step: Callable[[StepRecord], None] = lambda step: None,
+    refine: bool = False,
 ) -> runs.Run:
     """Run the filter over the bag.
 
@@ -67,6 +69,7 @@ def estimate(
     ----------
     warn : called with a line for each message that is dropped.
     on_step : called with each step as it is done.
+    refine : whether to smooth over the best particle's associations at the end.
     """
     pipeline = Pipeline(config, warn)
     steps = []
@@ -76,7 +79,7 @@ def estimate(
             on_step(step)
         steps += done
     steps += pipeline.finish()
-    return runs.assemble(
+    run = runs.assemble(
         config,
         runs.recorded(bag, config.robots),
         steps,
@@ -84,3 +87,19 @@ def estimate(
         pipeline.landmark_map(),
         pipeline.dropped,
     )
+    return refinement.complete(run, pipeline, with_refined=refine)
+
+
+def live(bag: Path) -> runs.Run:
+    """The live run in the bag, and the yardstick where the bag has the true associations.
+
+    The yardstick needs the frames and not the estimates: one particle puts them in order.
+    """
+    run = runs.from_bag(bag)
+    if not run.observation_truth:
+        return run
+    pipeline = Pipeline(replace(run.config, filter=replace(run.config.filter, particles=1)))
+    for event in events(bag, run.config.robots, pipeline.refuse):
+        pipeline.handle(event)
+    pipeline.finish()
+    return refinement.with_yardstick(run, pipeline.lineage())

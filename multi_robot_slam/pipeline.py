@@ -8,7 +8,7 @@ throughout, so a recorded run gives the live run's estimates. Frames of one stam
 
 import time
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import numpy as np
 
@@ -25,7 +25,8 @@ from msg_defs.types import (
     Trajectory,
 )
 from multi_robot_slam.config import Config
-from multi_robot_slam.filter import rbpf
+from multi_robot_slam.filter import rbpf, resampling
+from multi_robot_slam.filter.history import Record
 from multi_robot_slam.filter.motion import increment, wrap
 
 LATE_REMEDY = "raise reorder_window_s, or synchronise the robots' clocks"
@@ -117,15 +118,37 @@ class Pipeline:
             descriptors=landmarks.descriptors[columns],
         )
 
+    def lineage(self) -> list[tuple[Record, int]]:
+        """The best particle's past, oldest first: its row in the record of each frame."""
+        best = rbpf.best_particle(self._state)
+        return list(self._state.history.lineage(best))[::-1]
+
+    def distinct_ancestors(self) -> np.ndarray:
+        """For each frame so far, from how many of its particles today's particles descend."""
+        return self._state.history.distinct_ancestors()
+
     def trajectories(self) -> dict[str, Trajectory]:
         """The best particle's path of every robot that has moved or seen something."""
+        return self._by_robot((record, record.poses[:, row]) for record, row in self.lineage())
+
+    def mean_trajectories(self) -> dict[str, Trajectory]:
+        """The weighted mean of all particles' whole paths, likewise."""
+        weights = resampling.normalise(self._state.log_weights)
+        means = [
+            (record, record.poses @ np.bincount(rows, weights, len(record.parents)))
+            for record, rows in self._state.history.lineage(slice(None))
+        ]
+        return self._by_robot(reversed(means))
+
+    def _by_robot(self, path: Iterable[tuple[Record, np.ndarray]]) -> dict[str, Trajectory]:
+        """Trajectories from the pose (3,) in each record, oldest first."""
         stamps = [[] for _ in self._robots]
         poses = [[] for _ in self._robots]
-        for record, row in self._state.history.lineage(rbpf.best_particle(self._state)):
+        for record, pose in path:
             stamps[record.robot].append(record.stamp_ns)
-            poses[record.robot].append(record.poses[:, row])
+            poses[record.robot].append(pose)
         return {
-            robot.name: Trajectory(np.array(t[::-1], np.int64), _wrapped(np.array(p[::-1])))
+            robot.name: Trajectory(np.array(t, np.int64), _wrapped(np.array(p)))
             for robot, t, p in zip(self._robots, stamps, poses, strict=True)
             if t
         }
@@ -179,19 +202,24 @@ class Pipeline:
                 _frame_record(frame, seen, before)
                 for frame, seen in zip(frames, info.frames, strict=True)
             ),
-            estimates=tuple(self._estimate(frame, best) for frame in frames),
+            estimates=tuple(
+                self._estimate(frame, best, *moments)
+                for frame, moments in zip(frames, info.moments, strict=True)
+            ),
             effective_particles=info.effective_particles,
             resampled=info.ancestors is not None,
             duration_ms=(time.perf_counter() - start) * 1e3,
         )
 
-    def _estimate(self, frame: RobotFrame, best: int) -> Estimate:
-        _, covariance = rbpf.moments(self._state, frame.robot)
+    def _estimate(
+        self, frame: RobotFrame, best: int, mean: np.ndarray, covariance: np.ndarray
+    ) -> Estimate:
         return Estimate(
             robot=frame.observations.robot,
             stamp_ns=frame.stamp_ns,
             pose=_wrapped(self._state.poses[frame.robot, :, best]),
             covariance=covariance,
+            mean=_wrapped(mean),
         )
 
     def _drop(self, reason: str, event: Event, remedy: str) -> list[StepRecord]:

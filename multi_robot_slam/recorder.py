@@ -31,6 +31,7 @@ def recorded(robots: tuple[str, ...]) -> list[topics.Topic]:
         topics.ground_truth,
         topics.observation_truth,
         topics.pose,
+        topics.mean_pose,
         topics.path,
         topics.particles,
     )

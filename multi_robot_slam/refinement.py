@@ -1,11 +1,11 @@
 """Batch smoothing of a whole run: the filter's answer refined, and the yardstick it is held to."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import chdtrc, chdtri
 
-from msg_defs.errors import InputError
 from msg_defs.types import LandmarkMap, Trajectory
 from multi_robot_slam.config import Config
 from multi_robot_slam.filter import smoothing, stereo
@@ -13,6 +13,8 @@ from multi_robot_slam.filter.association import squared_distances
 from multi_robot_slam.filter.history import Record
 from multi_robot_slam.filter.motion import wrap
 from multi_robot_slam.filter.smoothing import Problem, Smoothed
+from multi_robot_slam.pipeline import Pipeline
+from multi_robot_slam.runs import Run
 
 Lineage = Sequence[tuple[Record, int]]
 """The past of one particle, oldest first: its row in each record (`Pipeline.lineage`)."""
@@ -30,12 +32,37 @@ class Refined:
     """With marginal covariances; a landmark the filter had split keeps the oldest of its ids."""
 
 
+def complete(run: Run, pipeline: Pipeline, with_refined: bool = False) -> Run:
+    """The run with what only the filter's history tells.
+
+    The mean of all particles' paths, the yardstick, and, if wanted, the refined paths and map.
+    """
+    lineage = pipeline.lineage()
+    run = with_yardstick(run.with_paths(mean=pipeline.mean_trajectories()), lineage)
+    if not with_refined:
+        return run
+    if len(lineage) > MAX_FRAMES:
+        warning = f"not refined: {len(lineage)} frames, and {MAX_FRAMES} are the most"
+        return replace(run, warnings=(*run.warnings, warning))
+    refined = refine(lineage, run.landmarks, run.config)
+    run = run.with_paths(refined=refined.paths)
+    return replace(run, refined_landmarks=refined.landmarks)
+
+
+def with_yardstick(run: Run, lineage: Lineage) -> Run:
+    """The run with the yardstick, if all associations are known and the frames not too many."""
+    batch = None
+    if len(lineage) <= MAX_FRAMES:
+        batch = yardstick(lineage, run.observation_truth, run.config)
+    return run if batch is None else run.with_paths(batch=batch)
+
+
 def refine(lineage: Lineage, landmarks: LandmarkMap, config: Config) -> Refined:
     """Smooth over the best particle's associations, robustly, and join landmarks it had split.
 
-    A particle that misses a loop creates landmarks anew, and smoothing alone cannot know. So: smooth,
-    join the pairs of landmarks that look alike (E <= E_0) and lie together (D <= D_0, with the joint
-    covariance that the smoothing gives them), and repeat until nothing joins.
+    A particle that misses a loop creates landmarks anew, and smoothing alone cannot know. So:
+    smooth, join the pairs of landmarks that look alike (E <= E_0) and lie together (D, with the
+    joint covariance that the smoothing gives them, inside `widened_gate`), repeat until none do.
 
     Parameters
     ----------
@@ -67,6 +94,15 @@ def refine(lineage: Lineage, landmarks: LandmarkMap, config: Config) -> Refined:
     )
 
 
+def widened_gate(gate: float, observations: int) -> float:
+    """The gate (18) that all of a run's observations pass together as likely as one passes `gate`.
+
+    The filter can afford to make a landmark anew for one true match in a hundred; what it costs is
+    those hundredths, and here they are to be found.
+    """
+    return float(chdtri(3, chdtrc(3, gate) / max(observations, 1)))
+
+
 def yardstick(
     lineage: Lineage, truth: Mapping[tuple[str, int], np.ndarray], config: Config
 ) -> dict[str, Trajectory] | None:
@@ -75,25 +111,22 @@ def yardstick(
     Parameters
     ----------
     lineage : any particle's past; only where it starts the search from is its own.
-    truth : (robot, stamp_ns) -> (B,) true landmark of each observation; with one frame missing there
-        is no yardstick.
+    truth : (robot, stamp_ns) -> (B,) true landmark of each observation; with that of one frame
+        missing there is no yardstick.
 
     """
     records = [record for record, _ in lineage]
     keys = [(config.robots[record.robot], record.stamp_ns) for record in records]
-    if not records or any(key not in truth for key in keys):
+    identities = [truth.get(key, ()) for key in keys]
+    known = [len(rows) == len(r.positions) for rows, r in zip(identities, records, strict=True)]
+    if not records or not all(known):
         return None
     poses = np.array([record.poses[:, row] for record, row in lineage])
-    problem = _problem(records, [truth[key] for key in keys], config)
+    problem = _problem(records, identities, config)
     return _trajectories(records, smoothing.smooth(problem, poses).poses, config)
 
 
 def _problem(records: Sequence[Record], identities: list[np.ndarray], config: Config) -> Problem:
-    if len(records) > MAX_FRAMES:
-        raise InputError(
-            f"{len(records)} frames are too many to smooth at once; take a part of the run with "
-            f"{MAX_FRAMES} frames or fewer"
-        )
     starts = np.array(config.start_poses)
     return smoothing.problem_of(records, identities, starts, config.filter.motion, config.mount)
 
@@ -124,10 +157,11 @@ def _together(
         shared = deviations[pair[0]] - deviations[pair[1]]
         covariance += shared @ shared.T
     squared = np.einsum("ai,ai->a", apart, np.linalg.solve(covariances, apart[:, :, None])[:, :, 0])
+    gate = widened_gate(config.filter.gate, len(problem.positions))
     chosen, taken = [], set()
     for row in np.argsort(squared, kind="stable"):
         pair = pairs[row]
-        if squared[row] > config.filter.gate:
+        if squared[row] > gate:
             break
         if taken.isdisjoint(pair.tolist()) and not (
             config.filter.exclusive and _seen_together(problem, *pair)

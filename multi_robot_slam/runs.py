@@ -27,20 +27,32 @@ DROPPED = "dropped: "
 """Prefix of the keys under which the fusion's diagnostics count what was dropped, by reason."""
 
 
+EMPTY = Trajectory(np.empty(0, np.int64), np.empty((0, 3)))
+"""The trajectory a run does not have."""
+
+
 @dataclass(frozen=True, eq=False)
 class RobotRun:
-    """One robot's trajectories; one the run does not have is empty, unknown truth is None."""
+    """One robot's trajectories in `map`; one the run does not have is empty, unknown truth None."""
 
     start_pose: np.ndarray
     """(3,) float64: configured x [m], y [m], yaw [rad] at the first filtered frame, in `map`."""
     odometry: Trajectory
     """As recorded, in the robot's own `odom` frame."""
     online: Trajectory
-    """Poses as published at each step, in `map`."""
+    """Poses of the best particle as published at each step."""
     path: Trajectory
-    """The best particle's whole path at the end, in `map`."""
+    """The best particle's whole path at the end."""
     truth: Trajectory | None = None
-    """True poses, in `map`."""
+    """True poses."""
+    online_mean: Trajectory = EMPTY
+    """Means of the particles as published at each step."""
+    mean: Trajectory = EMPTY
+    """The mean of all particles' whole paths at the end."""
+    refined: Trajectory = EMPTY
+    """The best particle's path, smoothed over its associations."""
+    batch: Trajectory = EMPTY
+    """The yardstick: the path smoothed over the true associations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +73,16 @@ class Run:
     """(robot, stamp_ns) -> (B,) uint32: row in `true_landmarks` of each observation."""
     warnings: tuple[str, ...] = ()
     """What was missing or broken in the bag without making the rest useless."""
+    refined_landmarks: LandmarkMap | None = None
+    """The best particle's map, smoothed over its associations; ids are the same."""
+
+    def with_paths(self, **kinds: Mapping[str, Trajectory]) -> "Run":
+        """Also these paths of the robots: `mean`, `refined`, `batch`."""
+        robots = {
+            name: replace(robot, **{kind: paths.get(name, EMPTY) for kind, paths in kinds.items()})
+            for name, robot in self.robots.items()
+        }
+        return replace(self, robots=robots)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +103,7 @@ def from_bag(path: Path) -> Run:
     config = _config(path)
     wanted = [topics.STEPS, topics.MAP_LANDMARKS, topics.DIAGNOSTICS, *_inputs(config.robots)]
     for robot in config.robots:
-        wanted += [topics.pose(robot), topics.path(robot)]
+        wanted += [topics.pose(robot), topics.mean_pose(robot), topics.path(robot)]
     messages, warnings = _read(path, wanted)
     paths = {robot: messages[topics.path(robot)] for robot in config.robots}
     missing = [topic for topic in (topics.STEPS, topics.MAP_LANDMARKS) if not messages[topic]]
@@ -115,14 +137,17 @@ def assemble(
     dropped: Mapping[str, int],
 ) -> Run:
     """Join a recording with what the filter made of it: `paths` and `landmarks` at the end."""
-    none = trajectory(())
+    estimates = {name: _estimates(steps, name) for name in config.robots}
     robots = {
         name: RobotRun(
             start_pose=np.array(start),
-            odometry=recording.odometry.get(name, none),
-            online=trajectory(e for step in steps for e in step.estimates if e.robot == name),
-            path=paths.get(name, none),
+            odometry=recording.odometry.get(name, EMPTY),
+            online=trajectory(estimates[name]),
+            path=paths.get(name, EMPTY),
             truth=recording.truth.get(name),
+            online_mean=trajectory(
+                replace(e, pose=e.mean) for e in estimates[name] if e.mean is not None
+            ),
         )
         for name, start in zip(config.robots, config.start_poses, strict=True)
     }
@@ -139,6 +164,10 @@ def assemble(
     )
 
 
+def _estimates(steps: Iterable[StepRecord], robot: str) -> list[Estimate]:
+    return [e for step in steps for e in step.estimates if e.robot == robot]
+
+
 def trajectory(samples: Iterable[PoseSample | Estimate]) -> Trajectory:
     """One robot's samples by stamp; of several with the same stamp the first counts."""
     samples = list(samples)
@@ -151,7 +180,8 @@ def write(run: Run, figures: dict, folder: Path) -> None:
     """Write a run and its figures of merit (`evaluation.evaluate`) into `folder`.
 
     `result.json`; `trajectory_<robot>.tum`, the best particle's path in `map`; `map.csv`;
-    `config.yaml`, the full configuration.
+    `config.yaml`, the full configuration; `refined_<robot>.tum` and `refined_map.csv` where the run
+    was refined.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -160,6 +190,10 @@ def write(run: Run, figures: dict, folder: Path) -> None:
     _write_map(run.landmarks, folder / "map.csv")
     for name, robot in run.robots.items():
         (folder / f"trajectory_{name}.tum").write_text(to_tum(robot.path))
+        if len(robot.refined.stamps_ns):
+            (folder / f"refined_{name}.tum").write_text(to_tum(robot.refined))
+    if run.refined_landmarks is not None:
+        _write_map(run.refined_landmarks, folder / "refined_map.csv")
 
 
 def to_tum(path: Trajectory) -> str:
@@ -262,18 +296,29 @@ def _recorded(
 
 
 def _steps(messages: dict[Topic, list[bytes]], robots: Iterable[str]) -> list[StepRecord]:
-    """The steps, with the estimates that were published on each robot's `pose`."""
-    published = {
-        (robot, estimate.stamp_ns): estimate
-        for robot in robots
-        for estimate in (wire.decode_estimate(d, robot) for d in messages[topics.pose(robot)])
-    }
+    """The steps, with the estimates that were published on each robot's `pose`, `mean_pose`."""
+    robots = tuple(robots)
+    published = _published(messages, robots, topics.pose)
+    for key, mean in _published(messages, robots, topics.mean_pose).items():
+        if key in published:
+            published[key] = replace(published[key], mean=mean.pose)
     steps = []
     for step in map(wire.decode_step, messages[topics.STEPS]):
         keys = [(frame.robot, step.stamp_ns) for frame in step.frames]
         estimates = tuple(published[key] for key in keys if key in published)
         steps.append(replace(step, estimates=estimates))
     return steps
+
+
+def _published(
+    messages: dict[Topic, list[bytes]], robots: tuple[str, ...], kind: Callable[[str], Topic]
+) -> dict[tuple[str, int], Estimate]:
+    """Robot and stamp -> what was published."""
+    return {
+        (robot, estimate.stamp_ns): estimate
+        for robot in robots
+        for estimate in (wire.decode_estimate(d, robot) for d in messages[kind(robot)])
+    }
 
 
 def _dropped(messages: list[bytes]) -> dict[str, int]:

@@ -67,6 +67,7 @@ def estimates(simulation, config):
         yield topics.STEPS, wire.encode_step(record)
         for estimate in record.estimates:
             yield topics.pose(estimate.robot), wire.encode_estimate(estimate)
+            yield topics.mean_pose(estimate.robot), wire.encode_mean(estimate)
     yield topics.MAP_LANDMARKS, wire.encode_map(pipeline.landmark_map(), START_NS)
     for robot, path in pipeline.trajectories().items():
         yield topics.path(robot), wire.encode_path(path, START_NS)

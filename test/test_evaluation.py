@@ -22,9 +22,12 @@ RESULT_KEYS = {
     "odometry_path_rmse_m",
     "odometry_heading_rmse_rad",
     "online_path_rmse_m",
+    "online_mean_path_rmse_m",
     "mean_path_rmse_m",
     "refined_path_rmse_m",
     "batch_path_rmse_m",
+    "pose_nees",
+    "landmark_nees",
     "map_rmse_m",
     "refined_map_rmse_m",
     "landmarks",
@@ -48,6 +51,10 @@ ROBOT_KEYS = {
     "odometry_path_rmse_m",
     "odometry_heading_rmse_rad",
     "online_path_rmse_m",
+    "online_mean_path_rmse_m",
+    "mean_path_rmse_m",
+    "refined_path_rmse_m",
+    "batch_path_rmse_m",
 }
 
 
@@ -77,8 +84,12 @@ def observed_run(frames: list[tuple[str, int, list, list, list]], landmarks: lis
     return replace(run, steps=records, observation_truth=truth, landmarks=estimated)
 
 
+LATER_PATHS = ("online_mean", "mean", "refined", "batch")
+
+
 def test_perfect_run_has_no_error():
-    result = evaluate(fake_run())
+    run = with_robots(fake_run(), lambda _, r: replace(r, **dict.fromkeys(LATER_PATHS, r.truth)))
+    result = evaluate(run)
     for figures in (result, *result["robots"].values()):
         for key in ROBOT_KEYS:
             assert figures[key] == pytest.approx(0, abs=1e-12)
@@ -102,6 +113,65 @@ def test_online_error_is_of_the_published_poses():
     result = evaluate(run)
     assert result["online_path_rmse_m"] == pytest.approx(2)
     assert result["path_rmse_m"] == 0
+
+
+@pytest.mark.parametrize("name", LATER_PATHS)
+def test_each_path_has_its_own_error(name):
+    run = with_robots(fake_run(), lambda _, r: replace(r, **{name: moved(r.truth, (0, 2.0, 0))}))
+    result = evaluate(run)
+    for figures in (result, *result["robots"].values()):
+        assert figures[f"{name}_path_rmse_m"] == pytest.approx(2)
+        assert figures["path_rmse_m"] == 0
+
+
+def test_nees_of_honest_covariances_is_three():
+    rng = np.random.default_rng(0)
+    roots = rng.normal(size=(20_000, 3, 3))
+    errors = (roots @ rng.standard_normal((20_000, 3, 1)))[:, :, 0]
+    covariances = roots @ roots.transpose(0, 2, 1)
+    tolerance = 5 * np.sqrt(2 * 3 / 20_000)
+    assert evaluation.nees(errors, covariances) == pytest.approx(3, abs=tolerance)
+    assert evaluation.nees(errors, covariances / 4) == pytest.approx(12, abs=4 * tolerance)
+
+
+def test_nees_leaves_out_what_claims_certainty():
+    covariances = np.stack([np.eye(3), np.zeros((3, 3)), np.ones((3, 3)), np.diag([1.0, 1.0, 0])])
+    assert evaluation.nees(np.ones((4, 3)), covariances) == pytest.approx(3)
+    assert evaluation.nees(np.ones((3, 3)), covariances[1:]) is None
+    assert evaluation.nees(np.empty((0, 3)), np.empty((0, 3, 3))) is None
+
+
+@pytest.mark.parametrize("turns", [-1, 0, 2])
+def test_pose_nees_is_of_mean_and_covariance(turns):
+    run = fake_run()
+    error = np.array([0.2, -0.1, 0.3 + 2 * np.pi * turns])
+    covariance = np.diag([0.04, 0.04, 0.09])
+    steps = [
+        replace(
+            step,
+            estimates=tuple(
+                replace(e, pose=e.pose + 7, mean=e.pose + error, covariance=covariance)
+                for e in step.estimates
+            ),
+        )
+        for step in run.steps
+    ]
+    assert evaluate(replace(run, steps=steps))["pose_nees"] == pytest.approx(1 + 0.25 + 1)
+
+
+def test_landmark_nees_is_that_of_the_map():
+    run = fake_run()  # sigma 0.1 m
+    away = run.landmarks.positions + np.float32([0.1, 0.2, 0])
+    result = evaluate(replace(run, landmarks=replace(run.landmarks, positions=away)))
+    assert result["landmark_nees"] == pytest.approx(1 + 4, rel=1e-4)
+
+
+def test_refined_map_has_its_own_error():
+    run = fake_run()
+    away = replace(run.landmarks, positions=run.landmarks.positions + np.float32([0, 0, 0.5]))
+    result = evaluate(replace(run, refined_landmarks=away))
+    assert result["refined_map_rmse_m"] == pytest.approx(0.5, rel=1e-5)
+    assert result["map_rmse_m"] == 0
 
 
 def test_team_pools_all_poses_of_all_robots():
@@ -297,4 +367,14 @@ def test_table_shows_every_robot_the_team_and_units():
     assert "1.250" in row
     assert any("team" in line and "0.884" in line for line in lines)
     assert "path [m]" in shown.get()
+    assert "refined" not in shown.get()
     assert "heading [rad]" in shown.get()
+
+
+def test_table_shows_refined_paths_where_there_are():
+    run = with_robots(fake_run(), lambda i, r: replace(r, refined=moved(r.truth, (0.777, 0, 0))))
+    console = Console(width=100)
+    with console.capture() as shown:
+        console.print(evaluation.table(evaluate(run)))
+    assert "refined" in shown.get()
+    assert shown.get().count("0.777") == 3

@@ -206,6 +206,28 @@ def test_result_is_the_error_of_what_the_robots_reported():
     assert result["step_ms_mean"] > 0
 
 
+def test_batch_solution_is_the_same_for_every_filter_and_better_than_odometry():
+    base = experiments.paper()
+    trials = [t for t in of_figure("fig5") if t.seed == 1 and t.robots == 3 and t.particles == 10]
+    results = experiments.compute(experiments.Job(base, tuple(trials)))
+    one, other = (result["batch_path_rmse_m"] for result in results)
+    assert one == other
+    assert one == experiments.compute(experiments.Job(base, trials[1:]))[0]["batch_path_rmse_m"]
+    assert one < 0.5 * results[0]["odometry_path_rmse_m"]
+
+
+def test_without_observations_the_batch_solution_is_odometry():
+    base = small_experiment.base()
+    (trial,) = (
+        t
+        for t in of_figure("fig8")
+        if (t.observations, t.robots, t.proposal, t.seed) == (0, 2, "motion", 3)
+    )
+    (result,) = experiments.compute(experiments.Job(base, (trial,)))
+    assert result["batch_path_rmse_m"] == pytest.approx(result["odometry_path_rmse_m"])
+    assert result["map_rmse_m"] is None
+
+
 numbers = st.floats(1e-6, 1e6) | st.none()
 
 

@@ -31,7 +31,11 @@ OUTPUTS = [
     topics.MAP_LANDMARKS,
     topics.DIAGNOSTICS,
     topics.FUSION_CONFIG,
-    *(topic(name) for name in CONFIG.robots for topic in (topics.pose, topics.path)),
+    *(
+        topic(name)
+        for name in CONFIG.robots
+        for topic in (topics.pose, topics.mean_pose, topics.path)
+    ),
 ]
 
 
@@ -97,6 +101,9 @@ def test_live_estimates_equal_those_of_the_pipeline(parameters):
     for index, robot in enumerate(CONFIG.robots):
         assert heard[topics.pose(robot)] == [
             wire.encode_estimate(record.estimates[index]) for record in records
+        ]
+        assert heard[topics.mean_pose(robot)] == [
+            wire.encode_mean(record.estimates[index]) for record in records
         ]
         path = wire.decode_path(heard[topics.path(robot)][-1], robot)
         np.testing.assert_allclose(path.poses, pipeline.trajectories()[robot].poses, atol=1e-12)

@@ -165,3 +165,25 @@ def test_map_and_paths_are_the_best_particle():
     for estimate in records[-1].estimates:
         np.testing.assert_array_equal(paths[estimate.robot].poses[-1], estimate.pose)
         assert len(paths[estimate.robot].stamps_ns) == 10
+
+
+def test_mean_paths_are_those_of_all_particles():
+    pipeline = Pipeline(config())
+    run(pipeline, round_robin(events(worlds.drive(9, steps=40))))
+    state, means = pipeline._state, pipeline.mean_trajectories()
+    weights = rbpf.resampling.normalise(state.log_weights)
+    whole = [list(state.history.lineage(m))[::-1] for m in range(20)]
+    for index, name in enumerate(NAMES):
+        poses = [[r.poses[:, row] for r, row in past if r.robot == index] for past in whole]
+        expected = np.tensordot(weights, np.array(poses), axes=1)
+        difference = means[name].poses - expected
+        np.testing.assert_allclose(difference[:, :2], 0, atol=1e-12)
+        np.testing.assert_allclose(np.cos(difference[:, 2]), 1, atol=1e-12)
+
+
+def test_estimates_have_the_particles_moments():
+    pipeline = Pipeline(config(1))
+    stream = events(worlds.drive(10, steps=1, robots=1))[0]
+    (record,) = run(pipeline, stream)
+    np.testing.assert_allclose(record.estimates[0].mean, worlds.START[0])
+    np.testing.assert_allclose(record.estimates[0].covariance, 0, atol=1e-20)

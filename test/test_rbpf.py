@@ -1,5 +1,7 @@
 """The filter against Algorithm 1 itself, and against its own laws."""
 
+import copy
+
 import literal_algorithm1 as literal
 import numpy as np
 import pytest
@@ -136,3 +138,21 @@ def test_history_is_the_lineage_of_each_particle():
         np.testing.assert_array_equal([r.poses[:, row] for r, row in lineage], paths[:, :, m])
         np.testing.assert_array_equal([r.matches[:, row] for r, row in lineage], matches[:, :, m])
     assert len(state.history.records[0].parents) < 20
+
+
+def test_moments_are_those_of_the_weighted_particles_before_resampling():
+    steps = worlds.drive(11, steps=3)
+    before, _ = run_filter(steps[:2], worlds.settings(resample_below=0.0), 11)
+    infos = []
+    for threshold in (0.0, 1.0):
+        state, rng = copy.deepcopy(before), np.random.default_rng(12)
+        settings = worlds.settings(resample_below=threshold)
+        infos.append(rbpf.step(state, steps[2], settings, worlds.MOUNT, rng))
+        if threshold == 0:
+            weights = rbpf.resampling.normalise(state.log_weights)
+            expected = [(p @ weights, np.cov(p, aweights=weights, ddof=0)) for p in state.poses]
+    assert infos[1].ancestors is not None
+    for info in infos:
+        for found, (mean, covariance) in zip(info.moments, expected, strict=True):
+            np.testing.assert_allclose(found[0], mean)
+            np.testing.assert_allclose(found[1], covariance, atol=1e-12)

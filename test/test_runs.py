@@ -67,6 +67,11 @@ def estimate_messages(run: Run) -> list:
         messages += [(topics.path(name), wire.encode_path(p, 0)) for p in (beginning, robot.path)]
     for step in run.steps:
         messages += [(topics.pose(e.robot), wire.encode_estimate(e)) for e in step.estimates]
+        messages += [
+            (topics.mean_pose(e.robot), wire.encode_mean(e))
+            for e in step.estimates
+            if e.mean is not None
+        ]
     return messages
 
 
@@ -121,6 +126,30 @@ def test_run_and_its_bag_evaluate_alike(run, bag):
     for key in ("landmarks_seen", "association_precision", "association_recall", "dropped"):
         assert read[key] == expected[key]
     assert read["map_rmse_m"] == pytest.approx(expected["map_rmse_m"], abs=1e-9)
+
+
+def with_means(run: Run) -> Run:
+    """Every particle mean lies one metre beside the best particle."""
+    beside = np.array([1.0, 0.0, 0.0])
+    steps = [
+        replace(step, estimates=tuple(replace(e, mean=e.pose + beside) for e in step.estimates))
+        for step in run.steps
+    ]
+    return replace(run, steps=steps)
+
+
+def test_means_come_back_from_the_bag(run, tmp_path):
+    written = with_means(run)
+    read = runs.from_bag(write_bag(tmp_path / "bag", estimate_messages(written)))
+    for name, robot in run.robots.items():
+        assert_same_path(read.robots[name].online_mean, moved(robot.online, (1, 0, 0)))
+        assert_same_path(read.robots[name].online, robot.online)
+
+
+def test_bag_without_means_has_none(run, bag):
+    read = runs.from_bag(bag)
+    assert all(len(robot.online_mean.stamps_ns) == 0 for robot in read.robots.values())
+    assert evaluate(read)["pose_nees"] is None
 
 
 def test_bag_without_truth_gives_none_there(run, tmp_path):
@@ -196,6 +225,18 @@ def test_folder_holds_what_other_programs_read(run, tmp_path):
         "trajectory_robot_1.tum",
         "trajectory_robot_2.tum",
     }
+
+
+def test_refined_run_leaves_its_paths_and_map(run, tmp_path):
+    refined = {"robot_2": moved(run.robots["robot_2"].path, (1, 0, 0))}
+    changed = replace(run.with_paths(refined=refined), refined_landmarks=fake_run().landmarks)
+    runs.write(changed, {}, tmp_path)
+    assert {path.name for path in tmp_path.glob("refined_*")} == {
+        "refined_robot_2.tum",
+        "refined_map.csv",
+    }
+    expected = runs.to_tum(refined["robot_2"])
+    assert (tmp_path / "refined_robot_2.tum").read_text() == expected
 
 
 def test_tum_file_parses_back_to_the_nanosecond(run):

@@ -208,6 +208,8 @@ class TestRoundTrip:
         read = wire.decode_estimate(wire.encode_estimate(written), ROBOT)
         np.testing.assert_allclose(read.pose, pose, rtol=4e-16, atol=4e-16)
         assert_identical(replace(read, pose=pose), written)
+        both = replace(written, pose=pose + 1, mean=pose)
+        assert wire.encode_mean(both) == wire.encode_estimate(written)
 
     @given(hnp.arrays(float, st.tuples(st.integers(0, 5), st.just(3)), elements=st.floats(-3, 3)))
     def test_path_and_particles(self, poses):

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -67,12 +68,18 @@ def decode_pose(data: bytes, robot: str) -> PoseSample:
 
 
 def encode_estimate(estimate: Estimate) -> bytes:
-    """PoseWithCovarianceStamped in `map`."""
+    """PoseWithCovarianceStamped of the best particle in `map`."""
     pose = _covariant_pose(estimate.pose, estimate.covariance)
     return encode(PoseWithCovarianceStamped(header_of(estimate.stamp_ns, MAP_FRAME), pose))
 
 
+def encode_mean(estimate: Estimate) -> bytes:
+    """PoseWithCovarianceStamped of the particles' mean in `map`."""
+    return encode_estimate(replace(estimate, pose=estimate.mean))
+
+
 def decode_estimate(data: bytes, robot: str) -> Estimate:
+    """The message of `encode_estimate`, or of `encode_mean` with the mean as the pose."""
     what = f"estimate of {robot}"
     message = decode(PoseWithCovarianceStamped, data, what)
     require_frame(message.header.frame_id, (MAP_FRAME,), what)

@@ -71,8 +71,8 @@ class History:
         """Particle m continues as particle ancestors[m]."""
         self._leaves = self._leaves[ancestors]
 
-    def lineage(self, particle: int):
-        """The past of `particle`, newest first: pairs of record and row."""
+    def lineage(self, particle: int | slice):
+        """The past of `particle`, newest first: pairs of record and row; of several, their rows."""
         row = self._leaves[particle]
         for record in reversed(self.records):
             yield record, row

@@ -102,6 +102,11 @@ class StepInfo(NamedTuple):
 
     frames: tuple[FrameInfo, ...]
     effective_particles: float
+    moments: tuple[tuple[np.ndarray, np.ndarray], ...]
+    """For each frame the weighted mean (3,) and covariance (3, 3) of its robot's pose.
+
+    Before resampling, which would only add noise.
+    """
     ancestors: np.ndarray | None
     """(M,) int32: the particle before resampling that each continues; None: not resampled."""
 
@@ -138,12 +143,13 @@ def step(
         infos.append(info)
     weights = resampling.normalise(state.log_weights)
     effective = resampling.effective_sample_size(weights)
+    around = tuple(moments(state.poses[frame.robot], weights) for frame in frames)
     ancestors = None
     if effective <= settings.resample_below * len(weights):
         ancestors = resampling.systematic(weights, rng.random())
         resample(state, ancestors)
     state.steps += 1
-    return StepInfo(tuple(infos), effective, ancestors)
+    return StepInfo(tuple(infos), effective, around, ancestors)
 
 
 def propose_by_motion(
@@ -344,11 +350,10 @@ def best_particle(state: State) -> int:
     return int(np.argmax(state.log_weight_sum))
 
 
-def moments(state: State, robot: int) -> tuple[np.ndarray, np.ndarray]:
-    """Weighted mean (3,) and covariance (3, 3) of the pose of `robot` over the particles."""
-    weights = resampling.normalise(state.log_weights)
-    mean = state.poses[robot] @ weights
-    deviations = state.poses[robot] - mean[:, None]
+def moments(poses: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean (3,) and covariance (3, 3) of `poses` (3, M) under normalised `weights` (M,)."""
+    mean = poses @ weights
+    deviations = poses - mean[:, None]
     return mean, (weights * deviations) @ deviations.T
 
 

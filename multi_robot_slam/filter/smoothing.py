@@ -25,6 +25,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 from scipy.linalg import cho_solve, cholesky, solve_triangular
+from threadpoolctl import ThreadpoolController
 
 from msg_defs.types import CameraMount
 from multi_robot_slam.filter import stereo
@@ -37,6 +38,9 @@ SMALLEST_SIGMA = 1e-5
 A robot that stood still has exact odometry; the information must stay finite all the same. A
 hundredth of a millimetre is nothing beside what any camera sees.
 """
+
+one_thread = ThreadpoolController().wrap(limits=1, user_api="blas")
+"""LAPACK with one thread: the same bytes on any number of cores, and no waiting for a busy one."""
 
 MAX_ITERATIONS = 100
 MAX_HALVINGS = 12
@@ -152,21 +156,24 @@ def _previous(robots: np.ndarray) -> np.ndarray:
     return previous
 
 
+@one_thread
 def smooth(problem: Problem, poses: np.ndarray, robust_above: float = np.inf) -> Smoothed:
     """Gauss-Newton from `poses` (P, 3) to the most likely paths and landmarks.
 
     Parameters
     ----------
     robust_above : D (18) up to which an observation counts in full. Beyond it counts less and less
-        and in the end not at all: dynamic covariance scaling (Agarwal, Tipaldi, Spinello, Stachniss,
-        Burgard 2013) of each observation. The threshold comes down from the largest D of all, so
-        that a loop which `poses` leaves open is closed before it could pass for an error.
+        and in the end not at all: dynamic covariance scaling (Agarwal, Tipaldi, Spinello,
+        Stachniss, Burgard 2013) of each observation. The threshold comes down from the largest D
+        of all, so that a loop `poses` leaves open is closed before it could pass for an error.
 
     """
     poses = np.array(poses, float)
     landmarks, squared = _landmarks_and_distances(problem, poses, np.ones(len(problem.positions)))
     threshold = max(robust_above, squared.max(initial=0))
-    for iteration in range(1, MAX_ITERATIONS + 1):
+    iterations, converged = 0, False
+    while not converged and iterations < MAX_ITERATIONS:
+        iterations += 1
         weights = _robust_weights(squared, threshold)
         landmarks, squared = _landmarks_and_distances(problem, poses, weights)
         factor, gradient = _factorise(problem, poses, landmarks, weights)
@@ -176,13 +183,12 @@ def smooth(problem: Problem, poses: np.ndarray, robust_above: float = np.inf) ->
         poses, landmarks, squared = _line_search(
             problem, poses, step.reshape(-1, 3), weights, squared, threshold
         )
-        if converged:
-            break
         threshold = max(robust_above, threshold / SHARPENING)
     cost = _cost(problem, poses, squared, robust_above)
-    return Smoothed(poses, landmarks, factor, weights, cost, iteration, converged)
+    return Smoothed(poses, landmarks, factor, weights, cost, iterations, converged)
 
 
+@one_thread
 def draw(smoothed: Smoothed, normals: np.ndarray) -> np.ndarray:
     """Whole paths (P, 3, M) from the Gaussian around the optimum; `normals` (3 P, M) standard.
 
@@ -220,6 +226,7 @@ def landmarks_given_paths(
     return planes
 
 
+@one_thread
 def landmark_deviations(problem: Problem, smoothed: Smoothed) -> np.ndarray:
     """(N, 3, 3 P): how the landmarks lean on the poses, Y_n = (dl_n/dx) L^-T.
 
@@ -238,7 +245,7 @@ def landmark_deviations(problem: Problem, smoothed: Smoothed) -> np.ndarray:
     solved = solve_triangular(
         smoothed.factor, rows.T, lower=True, overwrite_b=True, check_finite=False
     )
-    return np.ascontiguousarray(solved.T).reshape(len(problem.ids), 3, -1)
+    return np.ascontiguousarray(solved.T).reshape(len(problem.ids), 3, rows.shape[1])
 
 
 def _landmarks_and_distances(
@@ -412,7 +419,7 @@ def invert(total, plane):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def difference(pose, landmark, v):
-    """q = l - p and e = q - Rz v: (q_x, q_y, e_x, e_y, e_z)."""
+    """Landmark minus pose and e = l - p - Rz v: (q_x, q_y, e_x, e_y, e_z)."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
     q_x, q_y = landmark[0] - pose[0], landmark[1] - pose[1]
     return q_x, q_y, q_x - c * v[0] + s * v[1], q_y - s * v[0] - c * v[1], landmark[2] - v[2]
