@@ -18,7 +18,7 @@ ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
 QUICK = {("multi_robot_slam", "run"), ("multi_robot_slam", "evaluate")}
 QUICK |= {("sim_world", "team"), ("sim_world", "descriptors")}
-SLOW = {("multi_robot_slam", verb) for verb in ("demo", "experiment", "bench")}
+SLOW = {("multi_robot_slam", verb) for verb in ("demo", "experiment", "bench", "accuracy")}
 
 
 def blocks(language):
