@@ -22,7 +22,6 @@ from multi_robot_slam.filter.kernels import (
     BLOCK,
     COS,
     DETERMINANT,
-    FLOAT_RULES,
     SIN,
     SQUARED,
     TAKEN,
@@ -47,7 +46,7 @@ NO_GATE = 1e30
 """Lets every distance through: the match is already known."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FLOAT_RULES)
+@njit(cache=True, nogil=True, error_model="numpy")
 def associate_and_believe(
     first,
     last,
@@ -112,7 +111,7 @@ def subtract(a, b, difference):
         difference[m] = a[m] - b[m]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FLOAT_RULES)
+@njit(cache=True, nogil=True, error_model="numpy")
 def load(poses, spread, local):
     """Start a block's beliefs at the motion model."""
     cos_yaw, sin_yaw, robot_x, robot_y = poses[0], poses[1], poses[2], poses[3]
@@ -133,7 +132,7 @@ def load(poses, spread, local):
         local[P_TT, m] = yaw
 
 
-@njit(inline="always", cache=True, nogil=True, error_model="numpy", fastmath=FLOAT_RULES)
+@njit(inline="always", cache=True, nogil=True, error_model="numpy")
 def believe(landmark, low, high, column, local, found, v, noise, gate):
     """Update the beliefs of a block where `landmark` lies inside the gate and nothing else did."""
     mean_x, mean_y, mean_z = landmark[0, low:high], landmark[1, low:high], landmark[2, low:high]
@@ -231,7 +230,7 @@ def draw(poses, beliefs, normals):
         poses[2, m] += beliefs[2, m] + l_tx * n_x + l_ty * n_y + l_tt * n_t
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FLOAT_RULES)
+@njit(cache=True, nogil=True, error_model="numpy")
 def update_matched(
     first,
     last,
