@@ -89,14 +89,20 @@ class History:
 
     def _prune(self) -> None:
         """Drop rows without descendants, from the newest record back to where nothing changes."""
-        rows, leaves = np.unique(self._leaves, return_inverse=True)
-        self._leaves = leaves.astype(np.int32)
+        rows, self._leaves = _renumbered(self._leaves)
         for i in range(len(self.records) - 1, -1, -1):
             record = self.records[i]
             if len(rows) == len(record.parents) and i < self._pruned:
                 break
             record.poses = record.poses[:, rows]
             record.matches = record.matches[:, rows]
-            rows, parents = np.unique(record.parents[rows], return_inverse=True)
-            record.parents = parents.astype(np.int32)
+            rows, record.parents = _renumbered(record.parents[rows])
         self._pruned = len(self.records)
+
+
+def _renumbered(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The distinct `rows`, ascending, and each row's place among them (int32)."""
+    is_used = np.zeros(rows.max() + 1, bool)
+    is_used[rows] = True
+    places = np.cumsum(is_used, dtype=np.int32) - 1
+    return np.flatnonzero(is_used), places[rows]

@@ -353,11 +353,14 @@ def compose(rows, used, ancestors):
 def count_owners(planes, columns, rows, generations):
     """How many of today's particles have each landmark: (C,) int64."""
     owners = np.zeros(columns.size, np.int64)
+    limit = planes.dtype.type(0.5 * FAR)
     for i in range(columns.size):
         mean_x = planes[columns[i], 0]
         ancestors = rows[generations[i]]
+        total = np.int32(0)
         for m in range(ancestors.size):
-            owners[i] += mean_x[np.uint32(ancestors[m])] < 0.5 * FAR
+            total += np.int32(mean_x[np.uint32(ancestors[m])] < limit)
+        owners[i] = total
     return owners
 
 
