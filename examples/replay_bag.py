@@ -13,7 +13,7 @@ from multi_robot_slam.pipeline import Pipeline
 bag = Path(sys.argv[1])
 config = offline.recorded_config(bag) or Config()
 pipeline = Pipeline(config, warn=print)
-for event in offline.events(bag, config.robots):
+for event in offline.events(bag, config):
     pipeline.handle(event)
 pipeline.finish()
 for robot, path in pipeline.trajectories().items():

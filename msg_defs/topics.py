@@ -23,6 +23,7 @@ class Topic(NamedTuple):
 GROUND_TRUTH_LANDMARKS = Topic("ground_truth/landmarks", "sensor_msgs/msg/PointCloud2", LATCHED)
 GROUND_TRUTH_WALLS = Topic("ground_truth/walls", "visualization_msgs/msg/Marker", LATCHED)
 MAP_LANDMARKS = Topic("map/landmarks", "sensor_msgs/msg/PointCloud2", LATCHED)
+REFINED_LANDMARKS = Topic("map/refined_landmarks", "sensor_msgs/msg/PointCloud2", LATCHED)
 MAP_MARKERS = Topic("map/markers", "visualization_msgs/msg/MarkerArray", LATCHED)
 STEPS = Topic("fusion/steps", "diagnostic_msgs/msg/DiagnosticArray")
 FUSION_CONFIG = Topic("fusion/config", "std_msgs/msg/String", LATCHED)
@@ -37,6 +38,10 @@ def odometry(robot: str) -> Topic:
 
 def observations(robot: str) -> Topic:
     return Topic(f"{robot}/stereo/landmarks", "sensor_msgs/msg/PointCloud2")
+
+
+def sightings(robot: str) -> Topic:
+    return Topic(f"{robot}/sightings", "sensor_msgs/msg/PointCloud2")
 
 
 def observation_truth(robot: str) -> Topic:
@@ -57,6 +62,18 @@ def mean_pose(robot: str) -> Topic:
 
 def path(robot: str) -> Topic:
     return Topic(f"{robot}/path", "nav_msgs/msg/Path", LATCHED)
+
+
+def mean_path(robot: str) -> Topic:
+    return Topic(f"{robot}/mean_path", "nav_msgs/msg/Path", LATCHED)
+
+
+def refined_path(robot: str) -> Topic:
+    return Topic(f"{robot}/refined_path", "nav_msgs/msg/Path", LATCHED)
+
+
+def yardstick_path(robot: str) -> Topic:
+    return Topic(f"{robot}/yardstick_path", "nav_msgs/msg/Path", LATCHED)
 
 
 def particles(robot: str) -> Topic:

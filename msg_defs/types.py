@@ -91,6 +91,21 @@ class ObservationSet:
 
 
 @dataclass(frozen=True, eq=False)
+class Sightings:
+    """The S robots that one robot's stereo camera sees at one instant."""
+
+    robot: str
+    """The robot that sees."""
+    stamp_ns: int
+    others: np.ndarray
+    """(S,) uint32: index in the team of each robot seen."""
+    positions: np.ndarray
+    """(S, 3) float32: where its `base_link` is, in the camera frame [m]."""
+    covariances: np.ndarray
+    """(S, 6) float32: R of each position, camera frame [m^2]."""
+
+
+@dataclass(frozen=True, eq=False)
 class ObservationTruth:
     """Which true landmark each observation of an `ObservationSet` came from (evaluation only)."""
 
@@ -100,8 +115,8 @@ class ObservationTruth:
     """(B,) uint32: row in the true `LandmarkMap`."""
 
 
-Event = PoseSample | ObservationSet
-"""What a pipeline consumes: odometry and observations."""
+Event = PoseSample | ObservationSet | Sightings
+"""What a pipeline consumes: odometry, observations, and robots seen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,6 +156,8 @@ class RobotFrame:
     motion: np.ndarray
     """(3,) float64: u = (dx, dy, dyaw) in the robot's previous `base_link` [m, m, rad]."""
     observations: ObservationSet
+    sightings: Sightings | None = None
+    """Robots it sees, each of which has a frame at the same instant."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,6 +175,12 @@ class FrameRecord:
     """(B,) float32: D (18) of the accepted match, NaN for a new landmark."""
     descriptor_distance: np.ndarray
     """(B,) float32: E (19) of the accepted match, NaN for a new landmark."""
+    others: np.ndarray = field(default_factory=lambda: np.empty(0, np.int64))
+    """(S,) int64: index in the team of each robot seen."""
+    other_mahalanobis: np.ndarray = field(default_factory=lambda: np.empty(0, np.float32))
+    """(S,) float32: squared Mahalanobis distance of each sighting."""
+    is_other_rejected: np.ndarray = field(default_factory=lambda: np.empty(0, bool))
+    """(S,) bool: the sighting lay outside its gate."""
 
 
 @dataclass(frozen=True, eq=False)

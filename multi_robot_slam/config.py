@@ -26,6 +26,9 @@ class Config:
     reorder_window_s: Annotated[
         float, Ge(0), "how long a silent robot holds the others back, in message time [s]"
     ] = 5.0
+    sightings: Annotated[
+        bool, "each robot sends the robots it sees, even if none, with every frame"
+    ] = False
     mount: CameraMount = field(default_factory=CameraMount)
     filter: FilterSettings = field(default_factory=FilterSettings)
 

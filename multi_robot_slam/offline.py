@@ -18,17 +18,19 @@ def _raise(error: InputError) -> None:
 
 
 def events(
-    bag: Path, robots: tuple[str, ...], refuse: Callable[[InputError], None] = _raise
+    bag: Path, config: Config, refuse: Callable[[InputError], None] = _raise
 ) -> Iterator[Event]:
-    """Odometry and observations of `robots` in the order they were recorded.
+    """What the robots of `config` sent, in the order it was recorded.
 
     `InputError` when the bag has none; `refuse` is called for each message that is damaged or
     not what its topic says.
     """
     decoders = {}
-    for robot in robots:
+    for robot in config.robots:
         decoders[absolute(topics.odometry(robot).name)] = (robot, wire.decode_pose)
         decoders[absolute(topics.observations(robot).name)] = (robot, wire.decode_observations)
+        if config.sightings:
+            decoders[absolute(topics.sightings(robot).name)] = (robot, wire.decode_sightings)
     found = set()
     for record in BagReader(bag):
         if record.topic in decoders:
@@ -73,7 +75,7 @@ def estimate(
     """
     pipeline = Pipeline(config, warn)
     steps = []
-    for event in events(bag, config.robots, pipeline.refuse):
+    for event in events(bag, config, pipeline.refuse):
         done = pipeline.handle(event)
         for step in done:
             on_step(step)
@@ -90,16 +92,17 @@ def estimate(
     return refinement.complete(run, pipeline, with_refined=refine)
 
 
-def live(bag: Path) -> runs.Run:
-    """The live run in the bag, and the yardstick where the bag has the true associations.
+def load(folder: Path) -> runs.Run:
+    """The run in `folder` (`runs.load`), with the yardstick where the associations are known.
 
     The yardstick needs the frames and not the estimates: one particle puts them in order.
     """
-    run = runs.from_bag(bag)
-    if not run.observation_truth:
+    run = runs.load(folder)
+    has_yardstick = any(len(robot.batch.stamps_ns) for robot in run.robots.values())
+    if has_yardstick or not run.observation_truth:
         return run
     pipeline = Pipeline(replace(run.config, filter=replace(run.config.filter, particles=1)))
-    for event in events(bag, run.config.robots, pipeline.refuse):
+    for event in events(run.bag, run.config, pipeline.refuse):
         pipeline.handle(event)
     pipeline.finish()
     return refinement.with_yardstick(run, pipeline.lineage())

@@ -4,16 +4,19 @@ The simulator in process, live topics and recorded bags all end in `Pipeline.han
 filtered in the order of (stamp, robot), not of arrival: a frame waits until every active robot has
 sent one at least as new, or until the newest is `reorder_window_s` ahead. Time is message time
 throughout, so a recorded run gives the live run's estimates. Frames of one stamp make one step.
+A robot that is seen without a frame of its own at that instant gets one without observations.
 """
 
 import time
 from collections import Counter, deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
+from dataclasses import replace
 
 import numpy as np
 
 from msg_defs.errors import InputError
 from msg_defs.types import (
+    DESCRIPTOR_SIZE,
     Estimate,
     Event,
     FrameRecord,
@@ -21,6 +24,7 @@ from msg_defs.types import (
     ObservationSet,
     PoseSample,
     RobotFrame,
+    Sightings,
     StepRecord,
     Trajectory,
 )
@@ -31,6 +35,7 @@ from multi_robot_slam.filter.motion import increment, wrap
 
 LATE_REMEDY = "raise reorder_window_s, or synchronise the robots' clocks"
 NO_ODOMETRY = "frame without odometry"
+UNPLACED = "sighting of a robot without odometry"
 MOST_ODOMETRY = 20_000
 """Odometry samples kept for frames to come: minutes at any usual rate."""
 
@@ -51,7 +56,9 @@ class Pipeline:
         self._warn = warn
         self._rng = np.random.default_rng(config.seed)
         self._state = rbpf.init(np.array(config.start_poses), config.filter)
-        self._robots = [_Robot(index, name) for index, name in enumerate(config.robots)]
+        self._robots = [
+            _Robot(index, name, config.sightings) for index, name in enumerate(config.robots)
+        ]
         self._by_name = {robot.name: robot for robot in self._robots}
         self._first_ns: int | None = None
         self._filtered_ns = -1
@@ -72,18 +79,30 @@ class Pipeline:
             return self._drop("unknown robot", event, f"the team is {', '.join(self._by_name)}")
         if self._first_ns is None:
             self._first_ns = event.stamp_ns
-        if isinstance(event, PoseSample):
-            if not robot.add_odometry(event):
-                return self._drop("odometry out of order", event, "stamps must ascend")
-        elif event.stamp_ns == robot.newest_ns:
-            return self._drop("duplicate frame", event, "send each stamp once")
-        elif event.stamp_ns <= max(robot.newest_ns, self._filtered_ns):
+        against = self._reason_against(robot, event)
+        if isinstance(event, ObservationSet):
             robot.newest_ns = max(robot.newest_ns, event.stamp_ns)
-            return self._drop("late frame", event, LATE_REMEDY)
-        else:
-            robot.newest_ns = event.stamp_ns
-            robot.waiting.append(event)
+        if against:
+            return self._drop(against[0], event, against[1])
+        robot.take(event)
         return self._release(self._complete_until())
+
+    def _reason_against(self, robot: "_Robot", event: Event) -> tuple[str, str] | None:
+        """Why an event cannot be used, and the remedy."""
+        if isinstance(event, PoseSample):
+            if event.stamp_ns <= robot.odometry_ns:
+                return "odometry out of order", "stamps must ascend"
+        elif isinstance(event, Sightings):
+            if event.stamp_ns <= max(robot.sightings_ns, self._filtered_ns):
+                return "late sightings", LATE_REMEDY
+            strangers = [n for n in event.others if n >= len(self._robots) or n == robot.index]
+            if strangers:
+                return "sighting of nobody", f"robot {strangers[0]} is no other one of the team"
+        elif event.stamp_ns == robot.newest_ns:
+            return "duplicate frame", "send each stamp once"
+        elif event.stamp_ns <= max(robot.newest_ns, self._filtered_ns):
+            return "late frame", LATE_REMEDY
+        return None
 
     def refuse(self, error: InputError) -> None:
         """Count and tell of a message that could not be decoded."""
@@ -170,14 +189,14 @@ class Pipeline:
         for robot in self._robots:
             while robot.is_stuck(horizon):
                 self._drop(NO_ODOMETRY, robot.waiting.popleft(), "send odometry with every frame")
-        last_signs = (max(robot.ready_ns, self._first_ns - 1) for robot in self._robots)
+        last_signs = (max(r.ready_ns(horizon), self._first_ns - 1) for r in self._robots)
         return min((stamp for stamp in last_signs if stamp >= horizon), default=horizon)
 
     def _release(self, until_ns: int) -> list[StepRecord]:
         """Step through the waiting frames up to `until_ns`, frames of one stamp together."""
         steps = []
         while True:
-            ready = [r for r in self._robots if r.waiting and r.waiting[0].stamp_ns <= r.ready_ns]
+            ready = [r for r in self._robots if r.has_frame(until_ns)]
             stamp = min((r.waiting[0].stamp_ns for r in ready), default=until_ns + 1)
             if stamp > until_ns:
                 return steps
@@ -186,7 +205,23 @@ class Pipeline:
                 for robot in together:
                     self._drop("late frame", robot.waiting.popleft(), LATE_REMEDY)
             else:
-                steps.append(self._step(stamp, [robot.next_frame() for robot in together]))
+                steps.append(self._step(stamp, self._frames(stamp, together)))
+
+    def _frames(self, stamp_ns: int, robots: list["_Robot"]) -> list[RobotFrame]:
+        """The frames of `robots`, and one without observations of each other robot they see."""
+        seen_by = {r.index: r.sightings_at(stamp_ns) for r in robots}
+        seen = {int(n) for own in seen_by.values() if own for n in own.others} - seen_by.keys()
+        placed = {n for n in seen if self._robots[n].odometry_ns >= stamp_ns}
+        if seen > placed:
+            self.dropped[UNPLACED] += 1
+            names = ", ".join(self._robots[n].name for n in sorted(seen - placed))
+            self._warn(f"dropped sightings of {names} at {stamp_ns / 1e9:.3f} s: {UNPLACED}")
+        known = seen_by.keys() | placed
+        return [
+            robot.frame(stamp_ns, _only(seen_by.get(robot.index), known))
+            for robot in self._robots
+            if robot.index in known
+        ]
 
     def _step(self, stamp_ns: int, frames: list[RobotFrame]) -> StepRecord:
         start = time.perf_counter()
@@ -199,7 +234,7 @@ class Pipeline:
             stamp_ns=stamp_ns,
             step=self._state.steps,
             frames=tuple(
-                _frame_record(frame, seen, before)
+                _frame_record(frame, seen, before, config.filter.sighting_gate)
                 for frame, seen in zip(frames, info.frames, strict=True)
             ),
             estimates=tuple(
@@ -231,7 +266,7 @@ class Pipeline:
 class _Robot:
     """What one robot has sent and the filter has not used yet."""
 
-    def __init__(self, index: int, name: str):
+    def __init__(self, index: int, name: str, sends_sightings: bool):
         self.index = index
         self.name = name
         self.waiting: deque[ObservationSet] = deque()
@@ -239,32 +274,64 @@ class _Robot:
         self.used_pose = np.zeros(3)
         self._odometry: deque[PoseSample] = deque(maxlen=MOST_ODOMETRY)
         self._has_moved = False
+        self._sends_sightings = sends_sightings
+        self._sightings: deque[Sightings] = deque()
+        self.sightings_ns = -1
 
     @property
-    def ready_ns(self) -> int:
-        """Stamp of the newest frame whose odometry has arrived too, -1 when there is none [ns]."""
-        if not self._odometry:
-            return -1
-        return min(self.newest_ns, self._odometry[-1].stamp_ns)
+    def odometry_ns(self) -> int:
+        """Stamp of the newest odometry, -1 when there is none [ns]."""
+        return self._odometry[-1].stamp_ns if self._odometry else -1
+
+    def ready_ns(self, horizon_ns: int) -> int:
+        """Stamp of the newest frame all of which has arrived, -1 when there is none [ns].
+
+        Sightings are not waited for at `horizon_ns` and before.
+        """
+        complete = min(self.newest_ns, self.odometry_ns)
+        if self._sends_sightings:
+            complete = min(complete, max(self.sightings_ns, horizon_ns))
+        return complete
+
+    def has_frame(self, until_ns: int) -> bool:
+        """The oldest waiting frame is complete; one up to `until_ns` need not have sightings."""
+        return bool(self.waiting) and self.waiting[0].stamp_ns <= self.ready_ns(until_ns)
 
     def is_stuck(self, horizon_ns: int) -> bool:
         """The oldest waiting frame is older than `horizon_ns` and its odometry has not come."""
-        return bool(self.waiting) and self.ready_ns < self.waiting[0].stamp_ns < horizon_ns
+        return bool(self.waiting) and self.odometry_ns < self.waiting[0].stamp_ns < horizon_ns
 
-    def add_odometry(self, sample: PoseSample) -> bool:
-        """Keep `sample`; False when it is not newer than the last."""
-        if self._odometry and sample.stamp_ns <= self._odometry[-1].stamp_ns:
-            return False
-        self._odometry.append(sample)
-        return True
+    def take(self, event: Event) -> None:
+        """Keep an event that is newer than the last of its kind."""
+        if isinstance(event, PoseSample):
+            self._odometry.append(event)
+        elif isinstance(event, Sightings):
+            self._sightings.append(event)
+            self.sightings_ns = event.stamp_ns
+        else:
+            self.waiting.append(event)
 
-    def next_frame(self) -> RobotFrame:
-        """The oldest waiting observations with the motion since the frame before."""
-        observations = self.waiting.popleft()
-        pose = self._odometry_at(observations.stamp_ns)
+    def sightings_at(self, stamp_ns: int) -> Sightings | None:
+        """The sightings at `stamp_ns`; older ones are forgotten."""
+        while self._sightings and self._sightings[0].stamp_ns < stamp_ns:
+            self._sightings.popleft()
+        if self._sightings and self._sightings[0].stamp_ns == stamp_ns:
+            return self._sightings.popleft()
+        return None
+
+    def frame(self, stamp_ns: int, sightings: Sightings | None) -> RobotFrame:
+        """The frame at `stamp_ns`, empty if none is waiting, with the motion since the one before.
+
+        Odometry must have reached `stamp_ns`.
+        """
+        if self.waiting and self.waiting[0].stamp_ns == stamp_ns:
+            observations = self.waiting.popleft()
+        else:
+            observations = _nothing(self.name, stamp_ns)
+        pose = self._odometry_at(stamp_ns)
         motion = increment(self.used_pose, pose) if self._has_moved else np.zeros(3)
         self.used_pose, self._has_moved = pose, True
-        return RobotFrame(self.index, observations.stamp_ns, motion, observations)
+        return RobotFrame(self.index, stamp_ns, motion, observations, sightings)
 
     def _odometry_at(self, stamp_ns: int) -> np.ndarray:
         """Odometry interpolated at `stamp_ns`; before the first sample, the first."""
@@ -280,8 +347,29 @@ class _Robot:
         return first.pose + share * difference
 
 
-def _frame_record(frame: RobotFrame, info: rbpf.FrameInfo, particle: int) -> FrameRecord:
+def _nothing(robot: str, stamp_ns: int) -> ObservationSet:
+    empty = (np.empty((0, size), np.float32) for size in (3, 6, DESCRIPTOR_SIZE))
+    return ObservationSet(robot, stamp_ns, *empty)
+
+
+def _only(sightings: Sightings | None, robots: Collection[int]) -> Sightings | None:
+    """The sightings of `robots` (indices in the team)."""
+    if sightings is None:
+        return None
+    rows = np.isin(sightings.others, list(robots))
+    return replace(
+        sightings,
+        others=sightings.others[rows],
+        positions=sightings.positions[rows],
+        covariances=sightings.covariances[rows],
+    )
+
+
+def _frame_record(
+    frame: RobotFrame, info: rbpf.FrameInfo, particle: int, sighting_gate: float
+) -> FrameRecord:
     matches = info.matches[:, particle]
+    sighted = info.sighted.squared[:, particle]
     is_new = matches == info.new_ids
     return FrameRecord(
         robot=frame.observations.robot,
@@ -290,6 +378,9 @@ def _frame_record(frame: RobotFrame, info: rbpf.FrameInfo, particle: int) -> Fra
         is_rejected=is_new & (np.diff(info.candidates.starts) > 0),
         mahalanobis=np.where(is_new, np.nan, info.squared[:, particle]).astype(np.float32),
         descriptor_distance=np.where(is_new, np.nan, info.descriptor_distances(matches)),
+        others=info.sighted.seen.others,
+        other_mahalanobis=sighted.astype(np.float32),
+        is_other_rejected=sighted > sighting_gate,
     )
 
 

@@ -54,8 +54,10 @@ def believe(landmarks, sigma, spread, v, R):
     matches, D, S = np.empty((count, 1), np.int32), np.empty((count, 1)), np.empty((count, 1))
     starts, columns = np.arange(count + 1, dtype=np.int32), np.arange(count, dtype=np.int32)
     poses = np.array([[1.0], [0.0], [0.0], [0.0]])
+    prior = np.empty((6, 1))
+    informed.spread_in_map(poses, spread, prior)
     informed.associate_and_believe(
-        0, 1, planes, starts, columns, poses, spread, v, R, 1e9, False, beliefs, matches, D, S
+        0, 1, planes, starts, columns, poses, prior, v, R, 1e9, False, beliefs, matches, D, S
     )
     assert matches[:, 0].tolist() == columns.tolist()
     return beliefs[:, 0], D[:, 0], S[:, 0]

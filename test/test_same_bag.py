@@ -40,11 +40,11 @@ def test_same_bag_same_associations(tmp_path, monkeypatch):
     monkeypatch.setattr(rbpf, "step", lambda *args: infos.append(step(*args)) or infos[-1])
     pipeline = Pipeline(config)
     records = []
-    for event in offline.events(tmp_path / "bag", config.robots):
+    for event in offline.events(tmp_path / "bag", config):
         records += pipeline.handle(event)
     records += pipeline.finish()
 
-    steps = paired(offline.events(tmp_path / "bag", config.robots), config.robots)
+    steps = paired(offline.events(tmp_path / "bag", config), config.robots)
     rng = np.random.default_rng(config.seed)
     S, choices = literal.run(steps, config.start_poses, config.filter, config.mount, rng)
 

@@ -22,6 +22,7 @@ from msg_defs.types import (
     ObservationSet,
     ObservationTruth,
     PoseSample,
+    Sightings,
     StepRecord,
     Trajectory,
     Walls,
@@ -62,6 +63,12 @@ def observations(count=4):
     return ObservationSet(ROBOT, STAMP, positions, covariances(count), numbers32(count, 128))
 
 
+def sightings(count=2):
+    seen = observations(count)
+    others = np.arange(count, dtype=np.uint32) * 3
+    return Sightings(ROBOT, STAMP, others, seen.positions, seen.covariances)
+
+
 def landmark_map(count=5):
     rows = np.arange(count, dtype=np.uint32)
     return LandmarkMap(
@@ -96,6 +103,9 @@ def frame_record(robot=ROBOT, count=3):
         np.arange(count) % 3 == 0,
         np.where(np.arange(count) % 2, numbers32(count), np.nan).astype(np.float32),
         numbers32(count),
+        np.arange(2),
+        numbers32(2),
+        np.array([False, True]),
     )
 
 
@@ -120,6 +130,7 @@ KINDS = {
         wire.encode_observations(observations()),
         of_robot(wire.decode_observations),
     ),
+    "sightings": (wire.encode_sightings(sightings()), of_robot(wire.decode_sightings)),
     "observation_truth": (
         wire.encode_observation_truth(ObservationTruth(ROBOT, STAMP, np.arange(3, dtype="u4"))),
         of_robot(wire.decode_observation_truth),
@@ -173,6 +184,12 @@ class TestRoundTrip:
         descriptors = data.draw(array32(count, 128))
         written = ObservationSet(ROBOT, stamp, positions, covariances(count), descriptors)
         read = wire.decode_observations(wire.encode_observations(written), ROBOT)
+        assert_identical(read, written)
+
+    @given(st.integers(0, 5), stamps)
+    def test_sightings(self, count, stamp):
+        written = replace(sightings(count), stamp_ns=stamp)
+        read = wire.decode_sightings(wire.encode_sightings(written), ROBOT)
         assert_identical(read, written)
 
     @given(hnp.arrays(np.uint32, st.integers(0, 5)), stamps)
@@ -239,6 +256,9 @@ class TestRoundTrip:
             data.draw(flags),
             data.draw(any32),
             data.draw(any32),
+            others=data.draw(hnp.arrays(np.int64, 2)),
+            other_mahalanobis=data.draw(hnp.arrays(np.float32, 2)),
+            is_other_rejected=data.draw(hnp.arrays(bool, 2)),
         )
         written = StepRecord(STAMP, 3, (frame, frame_record()), (), effective, resampled, duration)
         read = wire.decode_step(wire.encode_step(written))

@@ -12,9 +12,11 @@ from msg_defs.wire.clouds import (
     decode_map,
     decode_observation_truth,
     decode_observations,
+    decode_sightings,
     encode_map,
     encode_observation_truth,
     encode_observations,
+    encode_sightings,
 )
 from msg_defs.wire.messages import message_class, message_schema
 from msg_defs.wire.pictures import decode_walls, encode_markers, encode_walls
@@ -58,6 +60,7 @@ __all__ = [
     "decode_particles",
     "decode_path",
     "decode_pose",
+    "decode_sightings",
     "decode_step",
     "decode_text",
     "decode_walls",
@@ -71,6 +74,7 @@ __all__ = [
     "encode_particles",
     "encode_path",
     "encode_pose",
+    "encode_sightings",
     "encode_step",
     "encode_text",
     "encode_transform",

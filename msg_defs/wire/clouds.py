@@ -6,7 +6,13 @@ import numpy as np
 
 from msg_defs.errors import InputError
 from msg_defs.topics import MAP_FRAME, camera_frame
-from msg_defs.types import DESCRIPTOR_SIZE, LandmarkMap, ObservationSet, ObservationTruth
+from msg_defs.types import (
+    DESCRIPTOR_SIZE,
+    LandmarkMap,
+    ObservationSet,
+    ObservationTruth,
+    Sightings,
+)
 from msg_defs.wire.messages import (
     PointCloud2,
     PointField,
@@ -47,6 +53,7 @@ _OBSERVATION = (
     _Column("covariance", 6),
     _Column("descriptor", DESCRIPTOR_SIZE, (_FLOAT32, _UINT8)),
 )
+_SIGHTINGS = (*_POSITION, _Column("covariance", 6), _Column("robot", 1, (_UINT32,)))
 _TRUTH = (_Column("landmark", 1, (_UINT32,)),)
 _MAP = (
     *_POSITION,
@@ -80,6 +87,34 @@ def decode_observations(data: bytes, robot: str) -> ObservationSet:
     """Descriptors may be FLOAT32, or UINT8 for 512 times the value."""
     what = f"observations of {robot}"
     stamp_ns, columns = _decode_cloud(data, _OBSERVATION, camera_frame(robot), what)
+    return ObservationSet(
+        robot,
+        stamp_ns,
+        *_seen_by_camera(columns, what),
+        descriptors=_float_descriptors(columns["descriptor"]),
+    )
+
+
+def encode_sightings(sightings: Sightings) -> bytes:
+    """PointCloud2 in the optical frame of the robot that sees."""
+    columns = {
+        **_position_columns(sightings.positions * _FLIP_POSITION),
+        "covariance": sightings.covariances * _FLIP_COVARIANCE,
+        "robot": sightings.others,
+    }
+    frame_id = camera_frame(sightings.robot)
+    return _encode_cloud(_SIGHTINGS, columns, sightings.stamp_ns, frame_id)
+
+
+def decode_sightings(data: bytes, robot: str) -> Sightings:
+    what = f"sightings of {robot}"
+    stamp_ns, columns = _decode_cloud(data, _SIGHTINGS, camera_frame(robot), what)
+    positions, covariances = _seen_by_camera(columns, what)
+    return Sightings(robot, stamp_ns, columns["robot"], positions, covariances)
+
+
+def _seen_by_camera(columns: dict[str, np.ndarray], what: str) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (n, 3) in front of the camera and covariances (n, 6), in the camera frame."""
     depth = columns["z"]
     behind = np.flatnonzero(depth <= 0)
     if behind.size:
@@ -89,13 +124,7 @@ def decode_observations(data: bytes, robot: str) -> ObservationSet:
         )
     covariances = columns["covariance"]
     _require_definite(_is_definite(covariances), covariances, what)
-    return ObservationSet(
-        robot,
-        stamp_ns,
-        positions=_positions(columns) * _FLIP_POSITION,
-        covariances=covariances * _FLIP_COVARIANCE,
-        descriptors=_float_descriptors(columns["descriptor"]),
-    )
+    return _positions(columns) * _FLIP_POSITION, covariances * _FLIP_COVARIANCE
 
 
 def encode_observation_truth(truth: ObservationTruth) -> bytes:
@@ -187,7 +216,7 @@ def _layout(table: tuple[_Column, ...]) -> tuple[np.dtype, list]:
     return dtype, fields
 
 
-_LAYOUTS = {table: _layout(table) for table in (_OBSERVATION, _TRUTH, _MAP)}
+_LAYOUTS = {table: _layout(table) for table in (_OBSERVATION, _SIGHTINGS, _TRUTH, _MAP)}
 
 
 def _decode_cloud(

@@ -111,7 +111,10 @@ _FRAME_LISTS = {
     "mahalanobis": np.float32,
     "descriptor_distance": np.float32,
 }
-"""Per-observation values of a frame; true and false are written as 1 and 0."""
+"""Values of each observation of a frame; true and false are written as 1 and 0."""
+
+_SIGHTING_LISTS = {"others": np.int64, "other_mahalanobis": np.float32, "is_other_rejected": bool}
+"""Values of each robot it sees."""
 
 
 def _frame_status(frame: FrameRecord) -> Status:
@@ -122,21 +125,31 @@ def _frame_status(frame: FrameRecord) -> Status:
         "matched": str(observed - new),
         "rejected": str(int(np.count_nonzero(frame.is_rejected))),
     }
-    for name, dtype in _FRAME_LISTS.items():
+    for name, dtype in (_FRAME_LISTS | _SIGHTING_LISTS).items():
         numbers = getattr(frame, name).astype(np.uint8 if dtype is bool else dtype)
         values[name] = " ".join(map(str, numbers))
+    values["sighted"] = str(len(frame.others))
     return Status(f"fusion: {frame.robot}", values, hardware_id=frame.robot)
 
 
 def _frame(status: Status) -> FrameRecord:
-    lists = {name: _numbers(status, name, dtype) for name, dtype in _FRAME_LISTS.items()}
-    observed = _number(status.values, "observed", int)
+    return FrameRecord(
+        status.hardware_id,
+        **_lists(status, _FRAME_LISTS, "observed"),
+        **_lists(status, _SIGHTING_LISTS, "sighted"),
+    )
+
+
+def _lists(status: Status, dtypes: Mapping[str, type], count: str) -> dict[str, np.ndarray]:
+    """The values of `dtypes`, each as many as the value `count` says."""
+    lists = {name: _numbers(status, name, dtype) for name, dtype in dtypes.items()}
+    expected = _number(status.values, count, int)
     for name, values in lists.items():
-        if len(values) != observed:
+        if len(values) != expected:
             raise InputError(
-                f"{_STEP}: {len(values)} {name} of {observed} observations; record it again"
+                f"{_STEP}: {len(values)} {name} of {expected} {count}; record it again"
             )
-    return FrameRecord(status.hardware_id, **lists)
+    return lists
 
 
 def _text(values: Mapping[str, str], key: str) -> str:

@@ -6,6 +6,7 @@ the particle filter, 2015).
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,6 +14,20 @@ from msg_defs.types import RobotFrame
 
 PRUNE_EVERY = 32
 """Steps between two prunings: rare enough to cost little, often enough to keep memory small."""
+
+
+class Seen(NamedTuple):
+    """The S robots that one robot sees, in its `base_link`."""
+
+    others: np.ndarray
+    """(S,) int64: index in the team; each has a frame in the same step."""
+    positions: np.ndarray
+    """(S, 2) float64 [m]."""
+    covariances: np.ndarray
+    """(S, 3) float64: xx xy yy [m^2]."""
+
+
+NOBODY = Seen(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 3)))
 
 
 @dataclass
@@ -36,6 +51,7 @@ class Record:
     """(B,) int32: id of the landmark that each observation would have created."""
     parents: np.ndarray
     """(R,) int32: row in the record before."""
+    sightings: Seen = NOBODY
 
 
 class History:
@@ -47,9 +63,15 @@ class History:
         self._pruned = 0
 
     def append(
-        self, frame: RobotFrame, step: int, poses: np.ndarray, matches: np.ndarray, new_ids
+        self,
+        frame: RobotFrame,
+        step: int,
+        poses: np.ndarray,
+        matches: np.ndarray,
+        new_ids: np.ndarray,
+        sightings: Seen = NOBODY,
     ) -> None:
-        """Add a robot's frame: its `poses` (3, M), and as in `Record` `matches` and `new_ids`."""
+        """Add a robot's frame: its `poses` (3, M), and the rest as in `Record`."""
         if len(self.records) - self._pruned >= PRUNE_EVERY:
             self._prune()
         record = Record(
@@ -63,6 +85,7 @@ class History:
             matches=matches,
             new_ids=new_ids,
             parents=self._leaves,
+            sightings=sightings,
         )
         self.records.append(record)
         self._leaves = np.arange(len(self._leaves), dtype=np.int32)

@@ -54,7 +54,7 @@ def associate_and_believe(
     starts,
     columns,
     poses,
-    spread,
+    prior,
     v,
     noise,
     gate,
@@ -70,7 +70,7 @@ def associate_and_believe(
     ----------
     first, last : the particles to handle, multiples of BLOCK or the number of particles.
     poses : (4, M) cos yaw, sin yaw, x, y of the predicted pose x_bar.
-    spread : (4,) covariance xx xy yy of the motion and variance of its yaw, in the predicted body.
+    prior : (6, M) covariance xx xy xt yy yt tt of the predicted pose, in `map`.
     beliefs : (9, M), out: change of x, y, yaw against x_bar; covariance xx xy xt yy yt tt.
     squared, dets : (B, M), out: D (18) and |S| of the match.
     Others as in `kernels.associate_and_update`; `matches` is UNMATCHED where none was found, and
@@ -81,7 +81,7 @@ def associate_and_believe(
     for low in range(first, last, BLOCK):
         high = min(low + BLOCK, last)
         count = high - low
-        load(poses[:, low:high], spread, local)
+        load(poses[:, low:high], prior[:, low:high], local)
         for b in range(len(v)):
             found[:count] = UNMATCHED
             for i in range(starts[b], starts[b + 1]):
@@ -111,25 +111,35 @@ def subtract(a, b, difference):
         difference[m] = a[m] - b[m]
 
 
+@njit(cache=True, nogil=True)
+def load(poses, prior, local):
+    """Start a block's beliefs at the prediction."""
+    for row in range(4):
+        copy(poses[row], local[row])
+    local[YAW] = 0
+    for row in range(6):
+        copy(prior[row], local[P_XX + row])
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
-def load(poses, spread, local):
-    """Start a block's beliefs at the motion model."""
-    cos_yaw, sin_yaw, robot_x, robot_y = poses[0], poses[1], poses[2], poses[3]
+def spread_in_map(poses, spread, prior):
+    """Covariance (6, M) xx xy xt yy yt tt of the motion, into `prior`.
+
+    Parameters
+    ----------
+    poses : (4, M) cos yaw, sin yaw, x, y of the predicted pose.
+    spread : (4,) covariance xx xy yy of the motion and variance of its yaw, in the predicted body.
+    """
     n_xx, n_xy, n_yy, yaw = spread[0], spread[1], spread[2], spread[3]
-    for m in range(cos_yaw.size):
-        c, s = cos_yaw[m], sin_yaw[m]
+    for m in range(poses.shape[1]):
+        c, s = poses[0, m], poses[1, m]
         cc, ss, cs = c * c, s * s, c * s
-        local[COS, m] = c
-        local[SIN, m] = s
-        local[X, m] = robot_x[m]
-        local[Y, m] = robot_y[m]
-        local[YAW, m] = 0
-        local[P_XX, m] = cc * n_xx - (cs + cs) * n_xy + ss * n_yy
-        local[P_XY, m] = cs * (n_xx - n_yy) + (cc - ss) * n_xy
-        local[P_XT, m] = 0
-        local[P_YY, m] = ss * n_xx + (cs + cs) * n_xy + cc * n_yy
-        local[P_YT, m] = 0
-        local[P_TT, m] = yaw
+        prior[0, m] = cc * n_xx - (cs + cs) * n_xy + ss * n_yy
+        prior[1, m] = cs * (n_xx - n_yy) + (cc - ss) * n_xy
+        prior[2, m] = 0
+        prior[3, m] = ss * n_xx + (cs + cs) * n_xy + cc * n_yy
+        prior[4, m] = 0
+        prior[5, m] = yaw
 
 
 @njit(inline="always", cache=True, nogil=True, error_model="numpy")

@@ -21,6 +21,7 @@ from multi_robot_slam.filter import (
     motion,
     parallel,
     resampling,
+    sightings,
     stereo,
 )
 from multi_robot_slam.filter.history import History
@@ -43,6 +44,9 @@ class FilterSettings:
         float, Gt(0), "D_0, squared Mahalanobis distance; the 99 % quantile of chi2 with 3 dof"
     ] = 11.345
     descriptor_gate: Annotated[float, Gt(0), "E_0, squared descriptor distance"] = 0.04
+    sighting_gate: Annotated[
+        float, Gt(0), "of a robot seen, squared Mahalanobis distance; 99 % of chi2 with 2 dof"
+    ] = 9.21
     resample_below: Annotated[
         float, Interval(ge=0, le=1), "resample below this share of M effective; 1 = every step"
     ] = 0.5
@@ -81,12 +85,13 @@ class FrameInfo(NamedTuple):
     squared: np.ndarray
     """(B, M): D (18)."""
     log_likelihood: np.ndarray
-    """(M,) float64: sum of the logarithms of (16)."""
+    """(M,) float64: sum of the logarithms of (16) and of the sightings' factors."""
     new_ids: np.ndarray
     """(B,) int32: id of the landmark that each observation would create."""
     candidates: association.Candidates
     candidate_ids: np.ndarray
     """(C,) int32: id of each candidate."""
+    sighted: sightings.Sighted
 
     def descriptor_distances(self, matches: np.ndarray) -> np.ndarray:
         """E (19) of B `matches` (ids), (B,) float32; NaN where a match was no candidate."""
@@ -130,17 +135,24 @@ def step(
     mount: CameraMount,
     rng: np.random.Generator,
 ) -> StepInfo:
-    """One pass of Algorithm 1's loop, lines 5-10, over the frames of one instant."""
-    propose = PROPOSALS[settings.proposal]
-    infos = []
-    for frame in frames:
-        info = propose(state, frame, settings, mount, rng)  # (7)-(13), (18), (19)
+    """One pass of Algorithm 1's loop, lines 5-10, over the frames of one instant.
+
+    `ValueError` when a robot sees one that has no frame among them.
+    """
+    infos = PROPOSALS[settings.proposal](
+        state, frames, settings, mount, rng
+    )  # (7)-(13), (18), (19)
+    for frame, info in zip(frames, infos, strict=True):
         state.log_weights += info.log_likelihood  # (16)
         state.log_weight_sum += info.log_likelihood  # (17)
         state.history.append(
-            frame, state.steps, state.poses[frame.robot], info.matches, info.new_ids
+            frame,
+            state.steps,
+            state.poses[frame.robot],
+            info.matches,
+            info.new_ids,
+            info.sighted.seen,
         )
-        infos.append(info)
     weights = resampling.normalise(state.log_weights)
     effective = resampling.effective_sample_size(weights)
     around = tuple(moments(state.poses[frame.robot], weights) for frame in frames)
@@ -154,16 +166,34 @@ def step(
 
 def propose_by_motion(
     state: State,
-    frame: RobotFrame,
+    frames: list[RobotFrame],
     settings: FilterSettings,
     mount: CameraMount,
     rng: np.random.Generator,
+) -> list[FrameInfo]:
+    """Algorithm 1, lines 14-39: draw the poses from the motion model (7), then match and update."""
+    for frame in frames:
+        poses = state.poses[frame.robot]
+        sigma = motion.standard_deviations(frame.motion, settings.motion)
+        noise = sigma[:, None] * rng.standard_normal(poses.shape)
+        motion.move(poses, frame.motion[:, None] + noise)
+    certain = np.zeros((len(frames), 6, settings.particles))
+    _, sighted = _look_at_each_other(state, frames, certain, settings, mount)
+    return [
+        _update_as_drawn(state, frame, settings, mount, seen)
+        for frame, seen in zip(frames, sighted, strict=True)
+    ]
+
+
+def _update_as_drawn(
+    state: State,
+    frame: RobotFrame,
+    settings: FilterSettings,
+    mount: CameraMount,
+    sighted: sightings.Sighted,
 ) -> FrameInfo:
-    """Algorithm 1, lines 14-39: draw the pose from the motion model (7), then match and update."""
+    """Match, update and weigh as seen from the drawn poses."""
     poses = state.poses[frame.robot]
-    sigma = motion.standard_deviations(frame.motion, settings.motion)
-    noise = sigma[:, None] * rng.standard_normal(poses.shape)
-    motion.move(poses, frame.motion[:, None] + noise)
     work = _open(state, frame, settings, mount, doubt=np.zeros(2))
     parallel.over_particles(
         kernels.associate_and_update,
@@ -182,22 +212,47 @@ def propose_by_motion(
         work.squared,
         work.determinants,
     )
-    return _close(state, frame, settings, work)
+    return _close(state, frame, settings, work, sighted)
 
 
 def propose_informed(
     state: State,
-    frame: RobotFrame,
+    frames: list[RobotFrame],
     settings: FilterSettings,
     mount: CameraMount,
     rng: np.random.Generator,
+) -> list[FrameInfo]:
+    """Match first, then draw each pose from what motion, sightings and matches say, then update."""
+    priors = np.empty((len(frames), 6, settings.particles), state.landmarks.planes.dtype)
+    for frame, prior in zip(frames, priors, strict=True):
+        poses = state.poses[frame.robot]
+        motion.move(poses, frame.motion[:, None])
+        spread = motion.spread(frame.motion, settings.motion).astype(prior.dtype)
+        informed.spread_in_map(_as_seen(poses, prior.dtype), spread, prior)
+    joint, sighted = _look_at_each_other(state, frames, priors, settings, mount)
+    infos = []
+    for frame, prior, seen in zip(frames, priors, sighted, strict=True):
+        if joint is not None:
+            state.poses[frame.robot], prior[:] = joint.of(frame.robot)
+        infos.append(_match_and_draw(state, frame, prior, settings, mount, rng, seen))
+        if joint is not None:
+            joint.fix(frame.robot, state.poses[frame.robot])
+    return infos
+
+
+def _match_and_draw(
+    state: State,
+    frame: RobotFrame,
+    prior: np.ndarray,
+    settings: FilterSettings,
+    mount: CameraMount,
+    rng: np.random.Generator,
+    sighted: sightings.Sighted,
 ) -> FrameInfo:
-    """Match first, then draw the pose from what motion and matches say, then update."""
+    """Match, draw the pose from the `prior` (6, M) and what was matched, update and weigh."""
     poses = state.poses[frame.robot]
-    motion.move(poses, frame.motion[:, None])
-    spread = motion.spread(frame.motion, settings.motion)
-    doubt = MANY_SIGMA * np.sqrt([spread[0] + spread[2], spread[3]])
-    work = _open(state, frame, settings, mount, doubt)
+    variances = [(prior[0] + prior[3]).max(), prior[5].max()]
+    work = _open(state, frame, settings, mount, doubt=MANY_SIGMA * np.sqrt(variances))
     beliefs = np.empty((9, settings.particles), work.v.dtype)
     gate = work.v.dtype.type(settings.gate)
     parallel.over_particles(
@@ -208,7 +263,7 @@ def propose_informed(
         work.candidates.starts,
         work.candidates.columns,
         _as_seen(poses, work.v.dtype),
-        spread.astype(work.v.dtype),
+        prior,
         work.v,
         work.noise,
         gate,
@@ -235,10 +290,31 @@ def propose_informed(
         work.squared,
         work.determinants,
     )
-    return _close(state, frame, settings, work)
+    return _close(state, frame, settings, work, sighted)
 
 
 PROPOSALS = {"motion": propose_by_motion, "informed": propose_informed}
+
+
+def _look_at_each_other(
+    state: State,
+    frames: list[RobotFrame],
+    priors: np.ndarray,
+    settings: FilterSettings,
+    mount: CameraMount,
+) -> tuple[sightings.JointBelief | None, list[sightings.Sighted]]:
+    """The joint belief after all sightings, None without any; what each frame's were worth."""
+    seen = [sightings.seen_robots(frame.sightings, mount) for frame in frames]
+    if not any(len(own.others) for own in seen):
+        nothing = sightings.Sighted.nothing(settings.particles)
+        return None, [nothing] * len(frames)
+    robots = [frame.robot for frame in frames]
+    joint = sightings.JointBelief(robots, state.poses[robots], priors.astype(float))
+    sighted = [
+        joint.see(robot, own, settings.sighting_gate)
+        for robot, own in zip(robots, seen, strict=True)
+    ]
+    return joint, sighted
 
 
 class _Work(NamedTuple):
@@ -293,7 +369,13 @@ def _open(
     )
 
 
-def _close(state: State, frame: RobotFrame, settings: FilterSettings, work: _Work) -> FrameInfo:
+def _close(
+    state: State,
+    frame: RobotFrame,
+    settings: FilterSettings,
+    work: _Work,
+    sighted: sightings.Sighted,
+) -> FrameInfo:
     """Keep the landmarks that were created, and weigh (16)."""
     landmarks = state.landmarks
     ids = landmarks.ids[work.matches]
@@ -305,10 +387,11 @@ def _close(state: State, frame: RobotFrame, settings: FilterSettings, work: _Wor
     return FrameInfo(
         ids,
         work.squared,
-        kernels.log_likelihood(work.squared, work.determinants),
+        kernels.log_likelihood(work.squared, work.determinants) + sighted.log_factor,
         work.new_ids,
         work.candidates,
         candidate_ids,
+        sighted,
     )
 
 
