@@ -1,5 +1,6 @@
 """Every topic and frame id, written once. Names are relative, so that namespaces work."""
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 STREAM = "stream"
@@ -78,6 +79,13 @@ def yardstick_path(robot: str) -> Topic:
 
 def particles(robot: str) -> Topic:
     return Topic(f"{robot}/particles", "geometry_msgs/msg/PoseArray", SENSOR)
+
+
+def fusion_outputs(robots: Iterable[str]) -> list[Topic]:
+    """Everything the fusion of the team `robots` publishes."""
+    singles = [FUSION_CONFIG, STEPS, MAP_LANDMARKS, MAP_MARKERS, DIAGNOSTICS, TF]
+    kinds = (pose, mean_pose, path, particles)
+    return singles + [kind(robot) for robot in robots for kind in kinds]
 
 
 def odom_frame(robot: str) -> str:

@@ -190,7 +190,10 @@ class Estimate:
     robot: str
     stamp_ns: int
     pose: np.ndarray
-    """(3,) float64: x [m], y [m], yaw [rad] of the best particle (17), in `map`."""
+    """(3,) float64: x [m], y [m], yaw [rad] in `map`, of the best particle (17).
+
+    Of the particles' mean where they are rejuvenated: then each is a draw from the posterior.
+    """
     covariance: np.ndarray
     """(3, 3) float64: covariance of the particle set around its mean [m^2, m rad, rad^2]."""
     mean: np.ndarray | None = None
@@ -213,6 +216,8 @@ class StepRecord:
     """Effective sample size of the weights before resampling, 1 .. M."""
     resampled: bool
     duration_ms: float
+    rejuvenated: float | None = None
+    """Effective sample size of the importance weights where the paths were drawn anew, 1 .. M."""
 
 
 @dataclass(frozen=True, eq=False)

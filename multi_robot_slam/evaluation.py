@@ -1,55 +1,34 @@
 """How good a run is: trajectory and map errors, association quality, each with its unit.
 
-Errors are estimate minus truth in `map`, unaligned: the start poses are given, so nothing is left
-to align. The truth is looked up at the estimate's stamps. A figure that needs truth the run does
-not have is None.
+Errors are estimate minus truth in `map`. Unaligned ones come first: the start poses are given.
+Aligned ones judge the shape alone, for runs whose truth lives in another frame. The truth is looked
+up at the estimate's stamps. A figure that needs truth the run does not have is None.
 """
 
 from collections import Counter
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
-from rich.table import Table
-from rich.text import Text
 
 from msg_defs.errors import InputError
 from msg_defs.types import LandmarkMap, Trajectory
 from multi_robot_slam.runs import RobotRun, Run
+from multi_robot_slam.trajectory_errors import (
+    PoseErrors,
+    aligned,
+    alignment,
+    at,
+    covers,
+    pose_errors,
+    relative_errors,
+    rmse,
+    rotation,
+    wrap,
+)
 
-MIN_OVERLAP = 0.5
-"""Share of an estimate's poses that must lie within the time span of the truth."""
-
-
-COLUMNS = {
-    "odometry_path_rmse_m": "path [m]\nodometry",
-    "path_rmse_m": "path [m]\nestimate",
-    "mean_path_rmse_m": "path [m]\nmean",
-    "refined_path_rmse_m": "path [m]\nrefined",
-    "batch_path_rmse_m": "path [m]\nyardstick",
-    "odometry_heading_rmse_rad": "heading [rad]\nodometry",
-    "heading_rmse_rad": "heading [rad]\nestimate",
-    "map_rmse_m": "map [m]\nestimate",
-    "refined_map_rmse_m": "map [m]\nrefined",
-}
-"""Figures in the table, and the heads of their columns."""
-
-ALWAYS_SHOWN = {
-    "odometry_path_rmse_m",
-    "path_rmse_m",
-    "odometry_heading_rmse_rad",
-    "heading_rmse_rad",
-    "map_rmse_m",
-}
-"""The others are shown where the run has them."""
-
-
-class PoseErrors(NamedTuple):
-    """Error of one trajectory over time."""
-
-    stamps_ns: np.ndarray
-    """(T,) int64."""
-    errors: np.ndarray
-    """(T, 3) float64: x [m], y [m], yaw [rad] in [-pi, pi), estimate minus truth, `map` frame."""
+RELATIVE_TO_M = (1, 10)
+"""Distances over which the relative error is taken [m]."""
 
 
 class RobotErrors(NamedTuple):
@@ -82,6 +61,8 @@ class Associations(NamedTuple):
     """(C,) bool: it created the landmark."""
     truth: np.ndarray
     """(C,) int64: row of the observed landmark in the true map."""
+    robots: np.ndarray
+    """(C,) int64: index in the team of the robot that observed it."""
 
 
 class Origins(NamedTuple):
@@ -91,11 +72,6 @@ class Origins(NamedTuple):
     """Estimated id -> row in the true map."""
     by_majority: frozenset[int]
     """Ids whose creation no step record shows, attributed by the majority of their matches."""
-
-
-def wrap(angle: np.ndarray) -> np.ndarray:
-    """The same angle [rad] in [-pi, pi)."""
-    return (angle + np.pi) % (2 * np.pi) - np.pi
 
 
 def odometry_in_map(robot: RobotRun) -> Trajectory:
@@ -109,32 +85,12 @@ def odometry_in_map(robot: RobotRun) -> Trajectory:
         return robot.odometry
     start_ns = (robot.path.stamps_ns if len(robot.path.stamps_ns) else stamps)[:1]
     start = robot.start_pose
-    if robot.truth is not None and _covers(robot.truth, start_ns).all():
-        start = _at(robot.truth, start_ns)[0]
-    origin = _at(robot.odometry, start_ns)[0]
+    if robot.truth is not None and covers(robot.truth, start_ns).all():
+        start = at(robot.truth, start_ns)[0]
+    origin = at(robot.odometry, start_ns)[0]
     turn = start[2] - origin[2]
-    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-    places = start[:2] + (poses[:, :2] - origin[:2]) @ rotation.T
+    places = start[:2] + (poses[:, :2] - origin[:2]) @ rotation(turn).T
     return Trajectory(stamps, np.column_stack([places, poses[:, 2] + turn]))
-
-
-def pose_errors(estimate: Trajectory, truth: Trajectory, name: str = "estimate") -> PoseErrors:
-    """`estimate` minus `truth`, interpolated linearly at the estimate's stamps.
-
-    Poses outside the truth's time span are left out; `InputError` if these are too many.
-    """
-    if not len(estimate.stamps_ns):
-        return PoseErrors(estimate.stamps_ns, np.empty((0, 3)))
-    inside = _covers(truth, estimate.stamps_ns)
-    if inside.sum() < MIN_OVERLAP * len(inside):
-        raise InputError(
-            f"{name}: the ground truth covers {inside.sum()} of {len(inside)} poses; "
-            "record it from the start to the end of the run, with the same clock"
-        )
-    stamps = estimate.stamps_ns[inside]
-    difference = estimate.poses[inside] - _at(truth, stamps)
-    difference[:, 2] = wrap(difference[:, 2])
-    return PoseErrors(stamps, difference)
 
 
 def robot_errors(run: Run) -> dict[str, RobotErrors]:
@@ -156,7 +112,8 @@ def robot_errors(run: Run) -> dict[str, RobotErrors]:
 
 def associations(run: Run) -> Associations:
     """Join the step records of the best particle with the truth of each observation."""
-    rows = [np.empty((0, 4), np.int64)]
+    rows = [np.empty((0, 5), np.int64)]
+    team = list(run.robots)
     for index, step in enumerate(run.steps):
         for frame in step.frames:
             truth = run.observation_truth.get((frame.robot, step.stamp_ns))
@@ -167,10 +124,10 @@ def associations(run: Run) -> Associations:
                     f"{frame.robot} at {step.stamp_ns} ns: {len(frame.landmarks)} observations "
                     f"but truth for {len(truth)}; evaluate against the truth of the same run"
                 )
-            steps = np.full(len(truth), index)
-            rows.append(np.column_stack([steps, frame.landmarks, frame.is_new, truth]))
-    steps, ids, is_new, truth = np.concatenate(rows).astype(np.int64).T
-    return Associations(steps, ids, is_new.astype(bool), truth)
+            steps, robots = np.full((2, len(truth)), [[index], [team.index(frame.robot)]])
+            rows.append(np.column_stack([steps, frame.landmarks, frame.is_new, truth, robots]))
+    steps, ids, is_new, truth, robots = np.concatenate(rows).astype(np.int64).T
+    return Associations(steps, ids, is_new.astype(bool), truth, robots)
 
 
 def origins(observed: Associations) -> Origins:
@@ -192,20 +149,20 @@ def origins(observed: Associations) -> Origins:
 
 
 def association_quality(
-    observed: Associations, origin: Origins
+    observed: Associations, origin: Origins, among: np.ndarray | bool = True
 ) -> tuple[float | None, float | None]:
     """Precision and recall of the association, 0 to 1; None where there is nothing to count.
 
     A match is right if its landmark came (`origins`) from the true landmark the observation came
     from. Precision: the share of right ones among the matched (not new) observations. Recall: the
     share of rightly matched ones among the observations of a true landmark that any robot of the
-    team had observed in an earlier step.
+    team had observed in an earlier step. `among` (C,) limits which observations count.
     """
     source = np.array([origin.landmarks[i] for i in observed.ids.tolist()], np.int64)
     right = ~observed.is_new & (source == observed.truth)
     _, first, row = np.unique(observed.truth, return_index=True, return_inverse=True)
     known = observed.steps[first][row] < observed.steps
-    return _share(right, ~observed.is_new), _share(right, known)
+    return _share(right, ~observed.is_new & among), _share(right, known & among)
 
 
 def map_errors(
@@ -233,92 +190,77 @@ def nees(errors: np.ndarray, covariances: np.ndarray) -> float | None:
     return float(np.mean(np.sum(errors * whitened, axis=1)))
 
 
-def pose_nees(run: Run) -> float | None:
-    """NEES of the particles' mean and covariance at each step, all robots pooled."""
-    errors, covariances = [np.empty((0, 3))], [np.empty((0, 3, 3))]
-    for step in run.steps:
-        for estimate in step.estimates:
-            truth, stamps = run.robots[estimate.robot].truth, np.array([estimate.stamp_ns])
-            if truth is None or estimate.mean is None or not _covers(truth, stamps)[0]:
-                continue
-            error = estimate.mean - _at(truth, stamps)
-            error[:, 2] = wrap(error[:, 2])
-            errors.append(error)
-            covariances.append(estimate.covariance[None])
-    return nees(np.concatenate(errors), np.concatenate(covariances))
+def published_errors(run: Run) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Errors (T, 3) and covariances (T, 3, 3) of the means as published, where the truth is known.
 
-
-def rmse(errors: np.ndarray) -> float | None:
-    """Root of the mean squared row norm of (T,) or (T, n) `errors`, in their unit."""
-    if not len(errors):
-        return None
-    return float(np.sqrt(np.mean(np.sum(errors.reshape(len(errors), -1) ** 2, axis=1))))
+    Of each robot; T counts the steps after which its mean was published.
+    """
+    found = {}
+    for name, robot in run.robots.items():
+        estimates = [
+            estimate
+            for step in run.steps
+            for estimate in step.estimates
+            if estimate.robot == name and estimate.mean is not None
+        ]
+        stamps = np.array([estimate.stamp_ns for estimate in estimates], np.int64)
+        means = np.array([estimate.mean for estimate in estimates]).reshape(-1, 3)
+        covariances = np.array([e.covariance for e in estimates]).reshape(-1, 3, 3)
+        known = np.zeros(len(stamps), bool) if robot.truth is None else covers(robot.truth, stamps)
+        errors = means[known] - at(robot.truth, stamps[known]) if known.any() else np.empty((0, 3))
+        errors[:, 2] = wrap(errors[:, 2])
+        found[name] = errors, covariances[known]
+    return found
 
 
 def evaluate(run: Run) -> dict:
-    """Every figure of merit of a run, ready for `result.json`.
+    """Every figure of merit of a run, ready for `result.json`; None where there is no truth.
 
-    `path_rmse_m`, `heading_rmse_rad`: of the best particle's whole path at the end, over all poses
-    of all robots pooled; `odometry_...` of the odometry, `online_...` of the poses as published,
-    `online_mean_...` of the means as published, `mean_...` of the mean of all particles' paths,
-    `refined_...` of the path smoothed over the best particle's associations, `batch_...` of the
-    yardstick, the path smoothed over the true ones.
+    Of the team and, under `robots`, of each robot, whose poses the team's figures pool:
+
+    `path_rmse_m`, `heading_rmse_rad`: of the best particle's whole path at the end, unaligned.
+    `path_aligned_rmse_m`, `heading_aligned_rmse_rad`: after each robot's path was brought closest
+    to its truth; `path_team_aligned_rmse_m`, `heading_team_aligned_rmse_rad`: after all together
+    were, by one rotation and shift. `rte_1m_rmse_m`, `rte_1m_rmse_rad`, `rte_10m_...`: of the
+    motion over so many metres (`relative_errors`), which is the same aligned or not.
+    These ten also of other paths: `odometry_...`; `online_...`, the poses as published;
+    `online_mean_...`, the means as published; `mean_...`, the mean of all particles' paths;
+    `refined_...`, smoothed over the best particle's associations; `batch_...`, the yardstick,
+    smoothed over the true ones.
     `pose_nees`: normalised error of mean and covariance as published; 3 is consistent.
-    `map_rmse_m`: of the final map's landmarks against the true place of their origin; `refined_...`
-    after smoothing; `landmark_nees`: their normalised error, given the best particle's path.
-    `duplicates`: landmarks of the final map beyond the first of each true landmark.
-    `landmarks_by_majority`, `landmarks_unattributed`: how many of the final map's landmarks have an
-    origin by majority, or none, and then no part in map error and duplicates (see `origins`).
+    `association_precision`, `association_recall`: see `association_quality`.
+
+    Of the team alone:
+
+    `map_rmse_m`: of the final map's landmarks against the true place of their origin;
+    `map_aligned_rmse_m`: after the map was turned and shifted in the plane to lie closest to it;
+    `landmark_nees`: normalised error, given the best particle's path; `refined_...` of the refined
+    map. `landmarks`: in the map; `landmarks_seen`: true ones observed; `misses`: of these, how many
+    no landmark of the map comes from; `duplicates`: landmarks of the map beyond the first of each
+    true landmark; `landmarks_by_majority`, `landmarks_unattributed`: how many have an origin by
+    majority, or none, and then no part in map error, duplicates and misses (see `origins`).
+    `bag`: where the recording is.
     """
-    errors = robot_errors(run)
+    team, robots = _pose_figures(run)
+    observed = associations(run)
+    origin = origins(observed)
     durations = [step.duration_ms for step in run.steps]
+    for index, figures in enumerate(robots.values()):
+        figures |= _association_figures(observed, origin, observed.robots == index)
     return {
-        **_pose_figures(list(errors.values())),
-        "pose_nees": pose_nees(run),
-        **_map_figures(run),
+        **team,
+        **_map_figures(run, observed, origin),
+        **_association_figures(observed, origin, True),
         "step_ms_mean": float(np.mean(durations)) if durations else None,
         "step_ms_p99": float(np.percentile(durations, 99)) if durations else None,
+        "step_ms_max": float(np.max(durations)) if durations else None,
         "steps": len(run.steps),
         "particles": run.config.filter.particles,
         "seed": run.config.seed,
+        "bag": None if run.bag is None else str(run.bag),
         "dropped": dict(run.dropped),
-        "robots": {
-            name: _pose_figures([errors[name]] if name in errors else []) for name in run.robots
-        },
+        "robots": robots,
     }
-
-
-def table(result: dict) -> Table:
-    """The errors in `result` (from `evaluate`), a row per robot and one for the team."""
-    columns = [
-        (key, title)
-        for key, title in COLUMNS.items()
-        if key in ALWAYS_SHOWN or result[key] is not None
-    ]
-    shown = Table(title="RMS error", title_justify="left")
-    shown.add_column("")
-    for _, title in columns:
-        shown.add_column(Text(title), justify="right")
-    for name, figures in result["robots"].items():
-        shown.add_row(name, *(_cell(figures, key) for key, _ in columns))
-    shown.add_section()
-    shown.add_row("team", *(_cell(result, key) for key, _ in columns), style="bold")
-    return shown
-
-
-def _covers(truth: Trajectory, stamps_ns: np.ndarray) -> np.ndarray:
-    """(T,) bool: `stamps_ns` lies within the time span of the truth."""
-    if not len(truth.stamps_ns):
-        return np.zeros(len(stamps_ns), bool)
-    return (stamps_ns >= truth.stamps_ns[0]) & (stamps_ns <= truth.stamps_ns[-1])
-
-
-def _at(path: Trajectory, stamps_ns: np.ndarray) -> np.ndarray:
-    """Poses (T, 3) of a `path` of one or more poses at `stamps_ns` (T,), held at its ends."""
-    since = path.stamps_ns[0]  # absolute nanoseconds do not fit a float64
-    times, known = stamps_ns - since, path.stamps_ns - since
-    x, y, yaw = path.poses.T
-    return np.column_stack([np.interp(times, known, f) for f in (x, y, np.unwrap(yaw))])
 
 
 def _full(covariances: np.ndarray) -> np.ndarray:
@@ -334,59 +276,83 @@ def _share(hits: np.ndarray, among: np.ndarray) -> float | None:
     return float(hits[among].mean()) if among.any() else None
 
 
-def _pose_figures(errors: list[RobotErrors]) -> dict:
-    def pooled(name: str) -> np.ndarray:
-        return np.concatenate([np.empty((0, 3)), *(getattr(e, name).errors for e in errors)])
+def _pose_figures(run: Run) -> tuple[dict, dict[str, dict]]:
+    """The team's figures of all paths and poses, and those of each robot."""
+    errors = robot_errors(run)
+    published = published_errors(run)
+    team, robots = {}, {name: {} for name in run.robots}
+    for kind in RobotErrors._fields:
+        plain = {name: getattr(robot, kind) for name, robot in errors.items()}
+        alone = {name: aligned([path])[0] for name, path in plain.items()}
+        together = dict(zip(plain, aligned(list(plain.values())), strict=True))
+        prefix = "" if kind == "path" else f"{kind}_"
+        team |= _path_figures(prefix, errors, plain, alone, together)
+        for name, figures in robots.items():
+            figures |= _path_figures(prefix, errors.keys() & {name}, plain, alone, together)
+    team["pose_nees"] = nees(*map(np.concatenate, zip(*published.values(), strict=True)))
+    for name, figures in robots.items():
+        figures["pose_nees"] = nees(*published[name])
+    return team, robots
 
-    path, odometry = pooled("path"), pooled("odometry")
-    others = ("online", "online_mean", "mean", "refined", "batch")
-    return {
-        "path_rmse_m": rmse(path[:, :2]),
-        "heading_rmse_rad": rmse(path[:, 2]),
-        "odometry_path_rmse_m": rmse(odometry[:, :2]),
-        "odometry_heading_rmse_rad": rmse(odometry[:, 2]),
-        **{f"{name}_path_rmse_m": rmse(pooled(name)[:, :2]) for name in others},
-    }
+
+def _path_figures(
+    prefix: str,
+    names: Iterable[str],
+    plain: Mapping[str, PoseErrors],
+    alone: Mapping[str, PoseErrors],
+    together: Mapping[str, PoseErrors],
+) -> dict:
+    """Of one kind of path of the robots `names`: unaligned, aligned one by one, or all together."""
+    names = list(names)
+    figures = {}
+    for words, paths in (("", plain), ("aligned_", alone), ("team_aligned_", together)):
+        pooled = _pooled(paths[name].errors for name in names)
+        figures[f"{prefix}path_{words}rmse_m"] = rmse(pooled[:, :2])
+        figures[f"{prefix}heading_{words}rmse_rad"] = rmse(pooled[:, 2])
+    for distance in RELATIVE_TO_M:
+        pooled = _pooled(relative_errors(plain[name], distance) for name in names)
+        figures[f"{prefix}rte_{distance}m_rmse_m"] = rmse(pooled[:, :2])
+        figures[f"{prefix}rte_{distance}m_rmse_rad"] = rmse(pooled[:, 2])
+    return figures
 
 
-def _map_figures(run: Run) -> dict:
-    observed = associations(run)
-    origin = origins(observed)
-    precision, recall = association_quality(observed, origin)
+def _pooled(errors: Iterable[np.ndarray]) -> np.ndarray:
+    return np.concatenate([np.empty((0, 3)), *errors])
+
+
+def _association_figures(observed: Associations, origin: Origins, among: np.ndarray | bool) -> dict:
+    precision, recall = association_quality(observed, origin, among)
+    return {"association_precision": precision, "association_recall": recall}
+
+
+def _map_figures(run: Run, observed: Associations, origin: Origins) -> dict:
     in_map = run.landmarks.ids.tolist()
     sources = [origin.landmarks[i] for i in in_map if i in origin.landmarks]
     has_truth = bool(len(observed.ids))
+    seen = len(np.unique(observed.truth))
     figures = {
-        "landmarks_seen": len(np.unique(observed.truth)),
+        "landmarks_seen": seen,
+        "misses": seen - len(set(sources)),
         "duplicates": len(sources) - len(set(sources)),
         "landmarks_by_majority": sum(i in origin.by_majority for i in in_map),
         "landmarks_unattributed": len(in_map) - len(sources),
     }
     return {
-        **_place_figures(run, origin),
+        **_place_figures("", run.landmarks, run, origin),
+        **_place_figures("refined_", run.refined_landmarks, run, origin),
         "landmarks": len(in_map),
         **{name: value if has_truth else None for name, value in figures.items()},
-        "association_precision": precision,
-        "association_recall": recall,
     }
 
 
-def _place_figures(run: Run, origin: Origins) -> dict:
-    if run.true_landmarks is None:
-        return dict.fromkeys(("map_rmse_m", "refined_map_rmse_m", "landmark_nees"))
-    rows, errors = map_errors(run.landmarks, run.true_landmarks, origin)
-    refined = np.empty((0, 3))
-    if run.refined_landmarks is not None:
-        _, refined = map_errors(run.refined_landmarks, run.true_landmarks, origin)
-    return {
-        "map_rmse_m": rmse(errors),
-        "refined_map_rmse_m": rmse(refined),
-        "landmark_nees": nees(errors, _full(run.landmarks.covariances[rows])),
-    }
-
-
-def _cell(figures: dict, key: str) -> str:
-    """A robot has no map of its own."""
-    if key not in figures:
-        return ""
-    return "-" if figures[key] is None else f"{figures[key]:.3f}"
+def _place_figures(prefix: str, landmarks: LandmarkMap | None, run: Run, origin: Origins) -> dict:
+    names = (f"{prefix}map_rmse_m", f"{prefix}map_aligned_rmse_m", f"{prefix}landmark_nees")
+    if landmarks is None or run.true_landmarks is None:
+        return dict.fromkeys(names)
+    rows, errors = map_errors(landmarks, run.true_landmarks, origin)
+    places = landmarks.positions[rows].astype(float)
+    truth = places - errors
+    angle, shift = alignment(places[:, :2], truth[:, :2])
+    moved = np.column_stack([places[:, :2] @ rotation(angle).T + shift, places[:, 2]])
+    consistency = nees(errors, _full(landmarks.covariances[rows]))
+    return dict(zip(names, (rmse(errors), rmse(moved - truth), consistency), strict=True))

@@ -27,34 +27,32 @@ def events(
     """
     decoders = {}
     for robot in config.robots:
-        decoders[absolute(topics.odometry(robot).name)] = (robot, wire.decode_pose)
-        decoders[absolute(topics.observations(robot).name)] = (robot, wire.decode_observations)
+        decoders[topics.odometry(robot)] = (robot, wire.decode_pose)
+        decoders[topics.observations(robot)] = (robot, wire.decode_observations)
         if config.sightings:
-            decoders[absolute(topics.sightings(robot).name)] = (robot, wire.decode_sightings)
-    found = set()
-    for record in BagReader(bag):
-        if record.topic in decoders:
-            robot, decode = decoders[record.topic]
-            found.add(record.topic)
-            try:
-                event = decode(record.data, robot)
-            except InputError as error:
-                refuse(error)
-            else:
-                yield event
-    if len(found) < 2:
+            decoders[topics.sightings(robot)] = (robot, wire.decode_sightings)
+    reader, found = BagReader(bag), set()
+    for topic, data in reader.only(decoders):
+        robot, decode = decoders[topic]
+        found.add(topic)
+        try:
+            event = decode(data, robot)
+        except InputError as error:
+            refuse(error)
+        else:
+            yield event
+    if not any({topics.odometry(r), topics.observations(r)} <= found for r in config.robots):
         raise InputError(
-            f"{bag} has nothing to estimate from: expected {', '.join(decoders)}; "
-            "record these topics, or name the robots in the configuration"
+            f"{bag} has nothing to estimate from: expected "
+            f"{', '.join(absolute(topic.name) for topic in decoders)}; its topics are "
+            f"{reader.found()}; record these topics, or name the robots in the configuration"
         )
 
 
 def recorded_config(bag: Path) -> Config | None:
     """The configuration the fusion published while the bag was recorded, if there was one."""
-    name = absolute(topics.FUSION_CONFIG.name)
-    for record in BagReader(bag):
-        if record.topic == name:
-            return settings.from_yaml(Config, wire.decode_text(record.data), SECTION, str(bag))
+    for _, data in BagReader(bag).only([topics.FUSION_CONFIG]):
+        return settings.from_yaml(Config, wire.decode_text(data), SECTION, str(bag))
     return None
 
 
@@ -95,11 +93,11 @@ def estimate(
 def load(folder: Path) -> runs.Run:
     """The run in `folder` (`runs.load`), with the yardstick where the associations are known.
 
-    The yardstick needs the frames and not the estimates: one particle puts them in order.
+    An offline run has it with it. A live one's needs the frames and not the estimates: one particle
+    puts them in order.
     """
     run = runs.load(folder)
-    has_yardstick = any(len(robot.batch.stamps_ns) for robot in run.robots.values())
-    if has_yardstick or not run.observation_truth:
+    if runs.is_offline(folder) or not run.observation_truth:
         return run
     pipeline = Pipeline(replace(run.config, filter=replace(run.config.filter, particles=1)))
     for event in events(run.bag, run.config, pipeline.refuse):

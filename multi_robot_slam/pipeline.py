@@ -243,16 +243,18 @@ class Pipeline:
             ),
             effective_particles=info.effective_particles,
             resampled=info.ancestors is not None,
+            rejuvenated=info.rejuvenated and info.rejuvenated.effective_particles,
             duration_ms=(time.perf_counter() - start) * 1e3,
         )
 
     def _estimate(
         self, frame: RobotFrame, best: int, mean: np.ndarray, covariance: np.ndarray
     ) -> Estimate:
+        draws = self.config.filter.rejuvenation.ancestors_below > 0
         return Estimate(
             robot=frame.observations.robot,
             stamp_ns=frame.stamp_ns,
-            pose=_wrapped(self._state.poses[frame.robot, :, best]),
+            pose=_wrapped(mean if draws else self._state.poses[frame.robot, :, best]),
             covariance=covariance,
             mean=_wrapped(mean),
         )

@@ -196,7 +196,7 @@ def _draw_errors(
 ) -> None:
     for index, axes in enumerate(column):
         axes.axhline(0.0, color="#BBBBBB", linewidth=0.8, zorder=1)
-        for name, (stamps_ns, errors) in series.items():
+        for name, (stamps_ns, errors, _) in series.items():
             colour, line = looks[name]
             seconds = (stamps_ns - start_ns) / 1e9
             axes.plot(seconds, errors[:, index], line, color=colour, linewidth=1.3, label=name)

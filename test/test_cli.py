@@ -36,9 +36,40 @@ def test_run_leaves_results_and_prints_the_table(command, bag, tmp_path):
     assert result["path_rmse_m"] < 1
     assert result["map_rmse_m"] < 1
     written = {path.name for path in out.iterdir()}
-    trajectories = {"trajectory_robot_1.tum", "trajectory_robot_2.tum"}
-    pictures = {"map.png", "errors.png"}
-    assert written == {"result.json", "config.yaml", "map.csv"} | trajectories | pictures
+    robots = ("robot_1", "robot_2")
+    trajectories = {f"{kind}_{robot}.tum" for kind in ("trajectory", "truth") for robot in robots}
+    figures = {"result.json", "figures.csv", "map.png", "errors.png"}
+    assert written == {"config.yaml", "map.csv", "estimates"} | trajectories | figures
+
+
+def test_offline_run_is_judged_again_with_the_same_result(command, bag, tmp_path):
+    out = tmp_path / "out"
+    assert command("run", bag, "--out", out, "--refine")[0] == 0
+    before = {file: file.read_bytes() for file in out.glob("*_robot_?.tum")}
+    first = json.loads((out / "result.json").read_text())
+    assert first["refined_path_rmse_m"] is not None
+    assert command("evaluate", out)[0] == 0
+    again = json.loads((out / "result.json").read_text())
+    assert again.pop("bag") == first.pop("bag") == str(bag)
+    ours, theirs = (figures.pop("robots") | {"team": figures} for figures in (first, again))
+    for who, figures in ours.items():
+        for name, value in figures.items():
+            assert theirs[who][name] == pytest.approx(value, abs=1e-9, rel=1e-9), (who, name)
+    assert {file: file.read_bytes() for file in out.glob("*_robot_?.tum")} == before
+
+
+def test_runs_are_compared_and_exported(command, bag, tmp_path):
+    outs = [tmp_path / name for name in ("one", "two")]
+    for out, particles in zip(outs, ("5", "20"), strict=True):
+        command("run", bag, "--out", out, "--particles", particles)
+    code, printed, _ = command("compare", *outs, "--csv", tmp_path / "both.csv")
+    assert code == 0
+    assert "filter.particles: 5 | 20" in printed
+    assert (tmp_path / "both.csv").read_text().startswith("robot,figure,")
+    for name in ("tum", "g2o", "ply"):
+        code, printed, _ = command("export", outs[0], "--to", name, "--out", tmp_path / name)
+        assert (code, (tmp_path / name).exists()) == (0, True)
+        assert "Everything is in" in printed
 
 
 def test_live_run_and_run_of_its_bag_are_judged_alike(command, tmp_path):
@@ -107,6 +138,9 @@ ROBOTS = ("robot_1", "robot_2")
         (("run", "{bag}", "--scenario", "{tmp}/twice.yaml"), "name each robot of the team once"),
         (("evaluate", "{bag}"), "holds no estimates"),
         (("evaluate", "{tmp}/nowhere"), "no bag"),
+        (("compare", "{tmp}"), "name two folders or more"),
+        (("compare", "{tmp}", "{tmp}"), "cannot read"),
+        (("export", "{tmp}/nowhere", "--to", "ply", "--out", "{tmp}/x"), "no bag"),
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_2(command, bag, tmp_path, words, told):

@@ -11,50 +11,48 @@ from rich.console import Console
 
 from msg_defs.errors import InputError
 from msg_defs.types import LandmarkMap, Trajectory
-from multi_robot_slam import evaluation
+from multi_robot_slam import evaluation, evaluation_table
 from multi_robot_slam.evaluation import evaluate
 from multi_robot_slam.runs import RobotRun, Run
 from test.helpers import PERIOD_NS, fake_frame, fake_run, fake_step, moved
 
-RESULT_KEYS = {
+PATHS = ("", "odometry_", "online_", "online_mean_", "mean_", "refined_", "batch_")
+PATH_FIGURES = (
     "path_rmse_m",
+    "path_aligned_rmse_m",
+    "path_team_aligned_rmse_m",
     "heading_rmse_rad",
-    "odometry_path_rmse_m",
-    "odometry_heading_rmse_rad",
-    "online_path_rmse_m",
-    "online_mean_path_rmse_m",
-    "mean_path_rmse_m",
-    "refined_path_rmse_m",
-    "batch_path_rmse_m",
-    "pose_nees",
+    "heading_aligned_rmse_rad",
+    "heading_team_aligned_rmse_rad",
+    "rte_1m_rmse_m",
+    "rte_1m_rmse_rad",
+    "rte_10m_rmse_m",
+    "rte_10m_rmse_rad",
+)
+PATH_KEYS = {path + figure for path in PATHS for figure in PATH_FIGURES}
+ROBOT_KEYS = PATH_KEYS | {"pose_nees", "association_precision", "association_recall"}
+RESULT_KEYS = ROBOT_KEYS | {
     "landmark_nees",
     "map_rmse_m",
+    "map_aligned_rmse_m",
+    "refined_landmark_nees",
     "refined_map_rmse_m",
+    "refined_map_aligned_rmse_m",
     "landmarks",
     "landmarks_seen",
     "landmarks_by_majority",
     "landmarks_unattributed",
+    "misses",
     "duplicates",
-    "association_precision",
-    "association_recall",
     "step_ms_mean",
     "step_ms_p99",
+    "step_ms_max",
     "steps",
     "particles",
     "seed",
+    "bag",
     "dropped",
     "robots",
-}
-ROBOT_KEYS = {
-    "path_rmse_m",
-    "heading_rmse_rad",
-    "odometry_path_rmse_m",
-    "odometry_heading_rmse_rad",
-    "online_path_rmse_m",
-    "online_mean_path_rmse_m",
-    "mean_path_rmse_m",
-    "refined_path_rmse_m",
-    "batch_path_rmse_m",
 }
 
 
@@ -91,11 +89,12 @@ def test_perfect_run_has_no_error():
     run = with_robots(fake_run(), lambda _, r: replace(r, **dict.fromkeys(LATER_PATHS, r.truth)))
     result = evaluate(run)
     for figures in (result, *result["robots"].values()):
-        for key in ROBOT_KEYS:
-            assert figures[key] == pytest.approx(0, abs=1e-12)
+        for key in PATH_KEYS - {key for key in PATH_KEYS if "rte_10m" in key}:
+            assert figures[key] == pytest.approx(0, abs=1e-12), key
+        assert figures["association_precision"] == figures["association_recall"] == 1
     assert result["map_rmse_m"] == 0
-    assert result["association_precision"] == result["association_recall"] == 1
-    assert result["duplicates"] == result["landmarks_unattributed"] == 0
+    assert result["map_aligned_rmse_m"] == pytest.approx(0, abs=1e-6)
+    assert result["duplicates"] == result["misses"] == result["landmarks_unattributed"] == 0
 
 
 def test_known_offset_gives_that_rmse():
@@ -156,7 +155,9 @@ def test_pose_nees_is_of_mean_and_covariance(turns):
         )
         for step in run.steps
     ]
-    assert evaluate(replace(run, steps=steps))["pose_nees"] == pytest.approx(1 + 0.25 + 1)
+    result = evaluate(replace(run, steps=steps))
+    for figures in (result, *result["robots"].values()):
+        assert figures["pose_nees"] == pytest.approx(1 + 0.25 + 1)
 
 
 def test_landmark_nees_is_that_of_the_map():
@@ -235,8 +236,7 @@ def test_truth_is_interpolated_with_the_yaw_the_short_way():
     truth = Trajectory(np.array([0, 100]), np.array([[0.0, 0.0, 3.0], [2.0, 4.0, -3.0]]))
     yaw = 3.0 + 0.25 * (2 * np.pi - 6.0)
     estimate = Trajectory(np.array([25]), np.array([[0.5, 1.0, yaw - 2 * np.pi]]))
-    _, errors = evaluation.pose_errors(estimate, truth)
-    np.testing.assert_allclose(errors, 0, atol=1e-12)
+    np.testing.assert_allclose(evaluation.pose_errors(estimate, truth).errors, 0, atol=1e-12)
 
 
 def test_poses_outside_the_truth_are_left_out_unless_too_many():
@@ -275,6 +275,17 @@ def test_association_of_a_hand_made_run():
     assert result["association_recall"] == pytest.approx(2 / 4)  # 0, 1, then 1 and 2 again
     assert result["landmarks_seen"] == 3
     assert result["duplicates"] == 1
+    assert result["misses"] == 0
+    alone = result["robots"]
+    assert alone["robot_1"]["association_precision"] == pytest.approx(2 / 3)
+    assert alone["robot_2"]["association_precision"] is None
+    assert alone["robot_1"]["association_recall"] == pytest.approx(2 / 4)
+
+
+def test_true_landmarks_seen_that_the_map_lost_are_misses():
+    frames = [("robot_1", 0, [10, 11, 12], [True] * 3, [0, 1, 2])]
+    result = evaluate(observed_run(frames, landmarks=[11]))
+    assert (result["landmarks_seen"], result["misses"], result["duplicates"]) == (3, 2, 0)
 
 
 def test_first_sight_by_two_robots_in_one_step_asks_for_no_match():
@@ -325,7 +336,8 @@ def test_truth_of_another_run_is_refused():
 def test_figures_are_null_without_truth():
     run = with_robots(fake_run(), lambda _, r: replace(r, truth=None))
     result = evaluate(replace(run, true_landmarks=None, walls=None, observation_truth={}))
-    known = {"landmarks", "step_ms_mean", "step_ms_p99", "steps", "particles", "seed"}
+    known = {"landmarks", "steps", "particles", "seed"}
+    known |= {"step_ms_mean", "step_ms_p99", "step_ms_max"}
     for key in RESULT_KEYS - {"robots", "dropped"}:
         assert (result[key] is not None) == (key in known), key
     assert result["robots"]["robot_1"] == dict.fromkeys(ROBOT_KEYS)
@@ -336,7 +348,8 @@ def test_robot_that_never_spoke_has_no_figures():
     nothing = Trajectory(np.empty(0, np.int64), np.empty((0, 3)))
     silent = replace(run.robots["robot_2"], odometry=nothing, online=nothing, path=nothing)
     result = evaluate(replace(run, robots={**run.robots, "robot_2": silent}))
-    assert result["robots"]["robot_2"] == dict.fromkeys(ROBOT_KEYS)
+    figures = result["robots"]["robot_2"]
+    assert {key: figures[key] for key in PATH_KEYS} == dict.fromkeys(PATH_KEYS)
     assert result["path_rmse_m"] == 0
 
 
@@ -357,24 +370,68 @@ def test_step_times_are_those_of_the_records():
     assert result["dropped"] == {"late": 2}
 
 
+@pytest.mark.parametrize("by", [(3.0, -2.0, 0.5), (0.0, 0.0, -3.0)])
+def test_aligning_undoes_a_motion_of_the_whole_team(by):
+    run = with_robots(fake_run(), lambda _, r: replace(r, path=turned(r.truth, by)))
+    result = evaluate(replace(run, landmarks=turned_map(run.landmarks, by)))
+    assert result["path_rmse_m"] > 1
+    assert result["map_rmse_m"] > 1
+    for figures in (result, *result["robots"].values()):
+        for key in PATH_FIGURES:
+            if "aligned" in key or "rte_1m" in key:
+                assert figures[key] == pytest.approx(0, abs=1e-9), key
+    assert result["map_aligned_rmse_m"] == pytest.approx(0, abs=1e-6)
+
+
+def test_aligning_the_team_leaves_what_is_wrong_between_the_robots():
+    run = with_robots(
+        fake_run(), lambda i, r: replace(r, path=turned(r.truth, ((0, 0, 0), (1.0, 0, 0))[i]))
+    )
+    result = evaluate(run)
+    assert result["path_aligned_rmse_m"] == pytest.approx(0, abs=1e-9)
+    assert 0.1 < result["path_team_aligned_rmse_m"] < result["path_rmse_m"]
+
+
+def turned(path: Trajectory, by: tuple[float, float, float]) -> Trajectory:
+    """The path seen from a frame that lies elsewhere."""
+    x, y, yaw = by
+    c, s = np.cos(yaw), np.sin(yaw)
+    places = path.poses[:, :2] @ np.array([[c, s], [-s, c]]) + (x, y)
+    return Trajectory(path.stamps_ns, np.column_stack([places, path.poses[:, 2] + yaw]))
+
+
+def turned_map(landmarks: LandmarkMap, by: tuple[float, float, float]) -> LandmarkMap:
+    flat = turned(Trajectory(landmarks.ids, landmarks.positions.astype(float)), by).poses
+    places = np.column_stack([flat[:, :2], landmarks.positions[:, 2]])
+    return replace(landmarks, positions=places.astype(np.float32))
+
+
+def shown(run: Run) -> str:
+    console = Console(width=100)
+    with console.capture() as capture:
+        console.print(evaluation_table.table(evaluate(run)))
+    return capture.get()
+
+
 def test_table_shows_every_robot_the_team_and_units():
     run = with_robots(fake_run(), lambda i, r: replace(r, path=moved(r.truth, (1.25 * i, 0, 0))))
-    console = Console(width=100)
-    with console.capture() as shown:
-        console.print(evaluation.table(evaluate(run)))
-    lines = shown.get().splitlines()
-    row = next(line for line in lines if "robot_2" in line)
-    assert "1.250" in row
-    assert any("team" in line and "0.884" in line for line in lines)
-    assert "path [m]" in shown.get()
-    assert "refined" not in shown.get()
-    assert "heading [rad]" in shown.get()
+    lines = shown(run).splitlines()
+    assert any("team" in line and "robot_1" in line and "robot_2" in line for line in lines)
+    row = next(line for line in lines if " estimate " in line)
+    assert [float(word) for word in row.split() if word[0].isdigit()] == [0.884, 0, 1.25]
+    assert any("path [m]: odometry" in line for line in lines)
+    assert any("heading [rad]: odometry" in line for line in lines)
+    assert "refined" not in shown(run)
 
 
 def test_table_shows_refined_paths_where_there_are():
     run = with_robots(fake_run(), lambda i, r: replace(r, refined=moved(r.truth, (0.777, 0, 0))))
-    console = Console(width=100)
-    with console.capture() as shown:
-        console.print(evaluation.table(evaluate(run)))
-    assert "refined" in shown.get()
-    assert shown.get().count("0.777") == 3
+    lines = shown(run).splitlines()
+    assert any("refined" in line and line.count("0.777") == 3 for line in lines)
+
+
+def test_table_of_a_run_without_truth_leaves_out_errors_and_keeps_the_titles():
+    run = with_robots(fake_run(), lambda _, r: replace(r, truth=None))
+    bare = shown(replace(run, true_landmarks=None, observation_truth={}))
+    assert "landmarks: in the map" in bare
+    assert "path" not in bare

@@ -200,7 +200,7 @@ def test_command_refines(command, tmp_path):
 
 def test_live_run_has_the_yardstick_of_its_bag(tmp_path):
     _, config = recordings.record(tmp_path / "bag", is_live=True)
-    live = offline.live(tmp_path / "bag")
+    live = offline.load(tmp_path / "bag")
     again = offline.estimate(tmp_path / "bag", config, warn=lambda text: None)
     batch = {name: robot.batch for name, robot in live.robots.items()}
     assert_same_paths(batch, {n: robot.batch for n, robot in again.robots.items()}, atol=1e-4)

@@ -120,6 +120,56 @@ def test_recorded_run_comes_back_from_its_bag(run, bag):
     assert [len(step.estimates) for step in read.steps] == [2] * len(run.steps)
 
 
+def moved_all(paths: dict[str, Trajectory], by_m: float) -> dict[str, Trajectory]:
+    return {name: moved(path, (by_m, 0, 0)) for name, path in paths.items()}
+
+
+def later_known(run: Run) -> Run:
+    """With everything that is known at the end of an offline run alone."""
+    paths = {name: robot.path for name, robot in run.robots.items()}
+    kinds = {kind: moved_all(paths, 0.1 * i) for i, kind in enumerate(runs.LATER_PATHS)}
+    return replace(run.with_paths(**kinds), refined_landmarks=fake_run(landmarks=3).landmarks)
+
+
+def written_offline(run: Run, folder, bag) -> Run:
+    run = replace(later_known(run), bag=bag)
+    runs.write_estimates(run, folder)
+    runs.write(run, evaluate(run), folder)
+    return run
+
+
+def test_offline_run_comes_back_from_its_folder(run, tmp_path):
+    bag = write_bag(tmp_path / "recorded", odometry_messages(run) + truth_messages(run))
+    written = written_offline(with_means(run), tmp_path / "out", bag)
+    read = runs.load(tmp_path / "out")
+    assert read.config == written.config
+    for name, robot in written.robots.items():
+        for path in ("odometry", "online", "path", "truth", *runs.LATER_PATHS):
+            assert_same_path(getattr(read.robots[name], path), getattr(robot, path))
+    np.testing.assert_array_equal(read.refined_landmarks.ids, written.refined_landmarks.ids)
+    figures, again = evaluate(written), evaluate(read)
+    assert again["bag"] == str(bag)
+    for key, value in figures.items():
+        if key != "robots":
+            assert again[key] == pytest.approx(value, abs=1e-9), key
+
+
+def test_offline_run_whose_bag_is_gone_says_where_it_was(run, tmp_path):
+    written_offline(run, tmp_path / "out", tmp_path / "gone")
+    with pytest.raises(InputError, match=r"is not at .*gone; correct `bag`"):
+        runs.load(tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("text", "told"), [(None, "cannot read"), ("[1", "is not JSON"), ("[1]", "holds no figures")]
+)
+def test_figures_that_cannot_be_read_are_refused(tmp_path, text, told):
+    if text is not None:
+        (tmp_path / "result.json").write_text(text)
+    with pytest.raises(InputError, match=told):
+        runs.figures_in(tmp_path)
+
+
 def test_run_and_its_bag_evaluate_alike(run, bag):
     expected, read = evaluate(run), evaluate(runs.from_bag(bag))
     assert read.keys() == expected.keys()
@@ -135,7 +185,11 @@ def with_means(run: Run) -> Run:
         replace(step, estimates=tuple(replace(e, mean=e.pose + beside) for e in step.estimates))
         for step in run.steps
     ]
-    return replace(run, steps=steps)
+    robots = {
+        name: replace(robot, online_mean=moved(robot.online, beside))
+        for name, robot in run.robots.items()
+    }
+    return replace(run, steps=steps, robots=robots)
 
 
 def test_means_come_back_from_the_bag(run, tmp_path):
@@ -224,7 +278,34 @@ def test_folder_holds_what_other_programs_read(run, tmp_path):
     assert {path.name for path in tmp_path.glob("*.tum")} == {
         "trajectory_robot_1.tum",
         "trajectory_robot_2.tum",
+        "truth_robot_1.tum",
+        "truth_robot_2.tum",
     }
+
+
+def test_table_of_figures_holds_every_figure_of_team_and_robots(run, tmp_path):
+    figures = evaluate(run)
+    runs.write(run, figures, tmp_path)
+    rows = list(csv.DictReader((tmp_path / "figures.csv").read_text().splitlines()))
+    read = {(row["robot"], row["figure"]): row["value"] for row in rows}
+    assert len(read) == len(rows)
+    for who, own in {"team": figures, **figures["robots"]}.items():
+        for name in own.keys() - {"robots", "dropped"}:
+            expected = "" if own[name] is None else str(own[name])
+            assert read.pop((who, name)) == expected
+    assert read == {("team", "dropped: late"): "2"}
+
+
+def test_written_truth_is_at_the_stamps_of_the_path(run, tmp_path):
+    robot = run.robots["robot_1"]
+    late = Trajectory(robot.path.stamps_ns[3:] + 11, robot.path.poses[3:])
+    changed = replace(run, robots={"robot_1": replace(robot, path=late)})
+    runs.write(changed, {}, tmp_path)
+    stamps = [
+        [line.split()[0] for line in (tmp_path / f"{kind}_robot_1.tum").read_text().splitlines()]
+        for kind in ("truth", "trajectory")
+    ]
+    assert stamps[0] == stamps[1][:-1]  # the last pose is later than the truth
 
 
 def test_refined_run_leaves_its_paths_and_map(run, tmp_path):

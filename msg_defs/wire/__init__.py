@@ -45,6 +45,7 @@ from msg_defs.wire.records import (
     encode_step,
     encode_text,
 )
+from msg_defs.wire.replayed import encode_clock, renamed
 
 __all__ = [
     "ERROR",
@@ -64,6 +65,7 @@ __all__ = [
     "decode_step",
     "decode_text",
     "decode_walls",
+    "encode_clock",
     "encode_diagnostics",
     "encode_estimate",
     "encode_map",
@@ -81,4 +83,5 @@ __all__ = [
     "encode_walls",
     "message_class",
     "message_schema",
+    "renamed",
 ]

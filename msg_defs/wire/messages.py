@@ -29,6 +29,7 @@ TwistWithCovariance = _STORE.types["geometry_msgs/msg/TwistWithCovariance"]
 Vector3 = _STORE.types["geometry_msgs/msg/Vector3"]
 Odometry = _STORE.types["nav_msgs/msg/Odometry"]
 Path = _STORE.types["nav_msgs/msg/Path"]
+Clock = _STORE.types["rosgraph_msgs/msg/Clock"]
 CompressedImage = _STORE.types["sensor_msgs/msg/CompressedImage"]
 PointCloud2 = _STORE.types["sensor_msgs/msg/PointCloud2"]
 PointField = _STORE.types["sensor_msgs/msg/PointField"]
@@ -39,6 +40,14 @@ TFMessage = _STORE.types["tf2_msgs/msg/TFMessage"]
 Marker = _STORE.types["visualization_msgs/msg/Marker"]
 MarkerArray = _STORE.types["visualization_msgs/msg/MarkerArray"]
 MeshFile = _STORE.types["visualization_msgs/msg/MeshFile"]
+
+
+def message_type(type_name: str) -> type:
+    """The class this module decodes a message type to; `InputError` where ROS has none such."""
+    try:
+        return _STORE.types[type_name]
+    except KeyError:
+        raise InputError(f"{type_name} is no message type of ROS 2 Jazzy; use one") from None
 
 
 def message_class(type_name: str) -> type:

@@ -80,6 +80,7 @@ def encode_step(record: StepRecord) -> bytes:
         "effective_particles": repr(float(record.effective_particles)),
         "resampled": str(int(record.resampled)),
         "duration_ms": repr(float(record.duration_ms)),
+        "rejuvenated": "" if record.rejuvenated is None else repr(float(record.rejuvenated)),
     }
     step = Status("fusion: step", values, message=f"step {record.step}")
     return encode_diagnostics(record.stamp_ns, [step, *map(_frame_status, record.frames)])
@@ -99,6 +100,7 @@ def decode_step(data: bytes) -> StepRecord:
         effective_particles=_number(values, "effective_particles", float),
         resampled=_number(values, "resampled", _flag),
         duration_ms=_number(values, "duration_ms", float),
+        rejuvenated=_number(values, "rejuvenated", float) if values.get("rejuvenated") else None,
     )
 
 

@@ -5,10 +5,13 @@ per particle of that step that still has a descendant (Jacob, Murray, Rubenthale
 the particle filter, 2015).
 """
 
+import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
 from msg_defs.types import RobotFrame
 
@@ -54,11 +57,29 @@ class Record:
     sightings: Seen = NOBODY
 
 
+class Past(NamedTuple):
+    """A new past for the n particles `members`, with the same landmark for every observation."""
+
+    members: np.ndarray
+    """(n,) int: index of each particle."""
+    paths: np.ndarray
+    """(P, 3, n) float64: x, y [m], yaw [rad] in each of the P records."""
+    identities: list[np.ndarray]
+    """For each record (B,) int32: id of the landmark of each observation."""
+
+    def signature(self) -> np.uint64:
+        """A number that is equal where the identities are."""
+        digest = hashlib.blake2b(np.concatenate(self.identities).tobytes(), digest_size=8).digest()
+        return np.frombuffer(digest, np.uint64)[0]
+
+
 class History:
     """The frames of all steps so far, in order."""
 
     def __init__(self, particles: int):
         self.records: list[Record] = []
+        self.signatures = np.zeros(particles, np.uint64)
+        """(M,): equal where particles have the same landmark for every observation so far."""
         self._leaves = np.arange(particles, dtype=np.int32)
         self._pruned = 0
 
@@ -89,10 +110,28 @@ class History:
         )
         self.records.append(record)
         self._leaves = np.arange(len(self._leaves), dtype=np.int32)
+        sign(self.signatures, matches)
 
     def resample(self, ancestors: np.ndarray) -> None:
         """Particle m continues as particle ancestors[m]."""
         self._leaves = self._leaves[ancestors]
+        self.signatures = self.signatures[ancestors]
+
+    def rewrite(self, pasts: Sequence[Past]) -> None:
+        """Give the members of each group new pasts; other particles keep theirs."""
+        rows = [rows for _, rows in self.lineage(slice(None))][::-1]
+        alone = np.ones(len(self._leaves), bool)
+        for group in pasts:
+            alone[group.members] = False
+            self.signatures[group.members] = group.signature()
+        for p, record in enumerate(self.records):
+            record.poses = record.poses[:, rows[p]]
+            for group in pasts:
+                record.poses[:, group.members] = group.paths[p]
+            record.matches = _rewritten(record.matches, rows[p], pasts, p, alone.any())
+            record.parents = np.arange(len(self._leaves), dtype=np.int32)
+        self._leaves = np.arange(len(self._leaves), dtype=np.int32)
+        self._pruned = len(self.records)
 
     def lineage(self, particle: int | slice):
         """The past of `particle`, newest first: pairs of record and row; of several, their rows."""
@@ -121,6 +160,27 @@ class History:
             record.matches = record.matches[:, rows]
             rows, record.parents = _renumbered(record.parents[rows])
         self._pruned = len(self.records)
+
+
+def _rewritten(
+    matches: np.ndarray, rows: np.ndarray, pasts: Sequence[Past], p: int, some_stay: bool
+) -> np.ndarray:
+    """(B, M) int32, one column in memory where all are equal."""
+    if len(pasts) == 1 and not some_stay:
+        return np.broadcast_to(pasts[0].identities[p][:, None], (len(matches), len(rows)))
+    matches = matches[:, rows]
+    for group in pasts:
+        matches[:, group.members] = group.identities[p][:, None]
+    return matches
+
+
+@njit(cache=True, nogil=True)
+def sign(signatures, matches):
+    """Add the `matches` (B, M) of a frame to the signatures (M,), in place."""
+    factor = np.uint64(0x9E3779B97F4A7C15)  # odd, so that no earlier match is ever lost
+    for b in range(len(matches)):
+        for m in range(signatures.size):
+            signatures[m] = (signatures[m] ^ np.uint64(matches[b, m])) * factor
 
 
 def _renumbered(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

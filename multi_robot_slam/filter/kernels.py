@@ -19,6 +19,9 @@ PLANES = 9
 FAR = 1e9
 """Mean x of a landmark that a particle does not have: finite, and outside any gate [m]."""
 
+NO_LANDMARK = np.array([FAR, 0, 0, 1, 0, 0, 1, 0, 1])
+"""Planes of such a one."""
+
 UNMATCHED = -1
 """Match of an observation that has found no landmark yet."""
 
@@ -273,11 +276,8 @@ def complete_new(planes, new_columns, matches):
         for low in range(0, particles, BLOCK):
             high = min(low + BLOCK, particles)
             if count_equal(matches[b, low:high], high - low, column) == 0:
-                landmark[:, low:high] = 0
-                landmark[0, low:high] = FAR
-                landmark[3, low:high] = 1
-                landmark[6, low:high] = 1
-                landmark[8, low:high] = 1
+                for k in range(PLANES):
+                    landmark[k, low:high] = NO_LANDMARK[k]
     return created
 
 

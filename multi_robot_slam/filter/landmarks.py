@@ -96,6 +96,27 @@ class Landmarks:
         """Columns that hold a landmark in at least one particle, ascending."""
         return np.flatnonzero(self.ids[: self.top] != FREE)
 
+    def columns_of(self, ids: np.ndarray) -> np.ndarray:
+        """The columns (N,) that hold the landmarks `ids` (N,), all of which live."""
+        columns = self.alive()
+        order = np.argsort(self.ids[columns])
+        return columns[order[np.searchsorted(self.ids[columns], ids, sorter=order)]]
+
+    def rewrite(
+        self, members: np.ndarray, ids: np.ndarray, planes: np.ndarray, threads: int = 1
+    ) -> None:
+        """The particles `members` (n,) hold just the landmarks `ids` (N,), as `planes` (N, 9, n).
+
+        All columns are up to date then; their boxes are not.
+        """
+        alive = self.alive()
+        self.bring_up_to_date(alive, threads)
+        held = self.columns_of(ids)
+        gone = np.setdiff1d(alive, held, assume_unique=True)
+        self.planes[np.ix_(gone, range(kernels.PLANES), members)] = kernels.NO_LANDMARK[:, None]
+        self.planes[np.ix_(held, range(kernels.PLANES), members)] = planes
+        self._release_unowned(alive)
+
     def of_particle(self, particle: int) -> tuple[np.ndarray, np.ndarray]:
         """Columns (N,) that `particle` has and their planes (N, 9), in order of creation."""
         columns = self.alive()

@@ -1,7 +1,7 @@
 """Algorithm 1: one particle set over the poses of K robots, each with a map of small EKFs."""
 
 import os
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
@@ -20,6 +20,7 @@ from multi_robot_slam.filter import (
     kernels,
     motion,
     parallel,
+    rejuvenation,
     resampling,
     sightings,
     stereo,
@@ -27,6 +28,8 @@ from multi_robot_slam.filter import (
 from multi_robot_slam.filter.history import History
 from multi_robot_slam.filter.landmarks import Landmarks
 from multi_robot_slam.filter.motion import MotionSettings
+from multi_robot_slam.filter.rejuvenation import Associations, Rejuvenated, RejuvenationSettings
+from multi_robot_slam.filter.state import State, resample
 
 WORTH_A_THREAD = 2048
 """Particles that make a second thread pay."""
@@ -60,21 +63,7 @@ class FilterSettings:
         int, Interval(ge=0, le=256), "threads of the filter; 0 chooses; no effect on results"
     ] = 0
     motion: MotionSettings = field(default_factory=MotionSettings)
-
-
-@dataclass
-class State:
-    """What the next step needs; `step` changes it in place."""
-
-    poses: np.ndarray
-    """(K, 3, M) float64: x, y [m], yaw [rad] in `map`."""
-    landmarks: Landmarks
-    log_weights: np.ndarray
-    """(M,) float64: logarithm of the weights since the last resampling, up to a constant."""
-    log_weight_sum: np.ndarray
-    """(M,) float64: sum over all steps of each particle's lineage (17)."""
-    history: History
-    steps: int = 0
+    rejuvenation: RejuvenationSettings = field(default_factory=RejuvenationSettings)
 
 
 class FrameInfo(NamedTuple):
@@ -110,17 +99,20 @@ class StepInfo(NamedTuple):
     moments: tuple[tuple[np.ndarray, np.ndarray], ...]
     """For each frame the weighted mean (3,) and covariance (3, 3) of its robot's pose.
 
-    Before resampling, which would only add noise.
+    Before resampling, which would only add noise, but after rejuvenation.
     """
     ancestors: np.ndarray | None
     """(M,) int32: the particle before resampling that each continues; None: not resampled."""
+    rejuvenated: Rejuvenated | None
 
 
 def init(start_poses: np.ndarray, settings: FilterSettings, dtype: type = np.float32) -> State:
     """All particles at `start_poses` (K, 3): x, y [m], yaw [rad] in `map`; an empty map."""
     count = settings.particles
+    start_poses = np.asarray(start_poses, float)
     return State(
-        poses=np.repeat(np.asarray(start_poses, float)[:, :, None], count, axis=2),
+        start_poses=start_poses,
+        poses=np.repeat(start_poses[:, :, None], count, axis=2),
         landmarks=Landmarks(count, dtype),
         log_weights=np.zeros(count),
         log_weight_sum=np.zeros(count),
@@ -156,12 +148,31 @@ def step(
     weights = resampling.normalise(state.log_weights)
     effective = resampling.effective_sample_size(weights)
     around = tuple(moments(state.poses[frame.robot], weights) for frame in frames)
-    ancestors = None
+    state.steps += 1
+    ancestors = rejuvenated = None
     if effective <= settings.resample_below * len(weights):
         ancestors = resampling.systematic(weights, rng.random())
         resample(state, ancestors)
-    state.steps += 1
-    return StepInfo(tuple(infos), effective, around, ancestors)
+    if rejuvenation.is_due(state, settings.rejuvenation):
+        rejuvenated = _rejuvenate(state, settings, mount, rng)
+        ancestors = rejuvenated.ancestors if ancestors is None else ancestors[rejuvenated.ancestors]
+        weights = resampling.normalise(state.log_weights)
+        around = tuple(moments(state.poses[frame.robot], weights) for frame in frames)
+    return StepInfo(tuple(infos), effective, around, ancestors, rejuvenated)
+
+
+def _rejuvenate(
+    state: State, settings: FilterSettings, mount: CameraMount, rng: np.random.Generator
+) -> Rejuvenated:
+    associations = Associations(
+        settings.gate,
+        settings.descriptor_gate,
+        settings.exclusive,
+        settings.motion,
+        mount,
+        threads(settings),
+    )
+    return rejuvenation.rejuvenate(state, settings.rejuvenation, associations, rng)
 
 
 def propose_by_motion(
@@ -410,15 +421,6 @@ def _as_seen(poses: np.ndarray, dtype: np.dtype) -> np.ndarray:
     np.sin(yaw, out=seen[1])
     seen[2:] = poses[:2]
     return seen
-
-
-def resample(state: State, ancestors: np.ndarray) -> None:
-    """Particle m continues as particle ancestors[m]: Algorithm 1, line 10."""
-    state.poses = state.poses[:, :, ancestors]
-    state.log_weight_sum = state.log_weight_sum[ancestors]
-    state.log_weights = np.zeros(len(ancestors))
-    state.landmarks.resample(ancestors)
-    state.history.resample(ancestors)
 
 
 def threads(settings: FilterSettings) -> int:

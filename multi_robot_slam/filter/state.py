@@ -1,0 +1,42 @@
+"""What the particle filter carries from step to step."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from multi_robot_slam.filter.history import History
+from multi_robot_slam.filter.landmarks import Landmarks
+
+
+@dataclass
+class State:
+    """What the next step needs; `rbpf.step` changes it in place."""
+
+    start_poses: np.ndarray
+    """(K, 3) float64: x, y [m], yaw [rad] in `map`."""
+    poses: np.ndarray
+    """(K, 3, M) float64: x, y [m], yaw [rad] in `map`."""
+    landmarks: Landmarks
+    log_weights: np.ndarray
+    """(M,) float64: logarithm of the weights since the last resampling, up to a constant."""
+    log_weight_sum: np.ndarray
+    """(M,) float64: sum over all steps of each particle's lineage (17)."""
+    history: History
+    steps: int = 0
+    origins: np.ndarray = field(init=False)
+    """(M,) int32: the particle right after the last rejuvenation that each descends from."""
+    origin_step: int = 0
+    """The step of the last rejuvenation."""
+
+    def __post_init__(self) -> None:
+        self.origins = np.arange(len(self.log_weights), dtype=np.int32)
+
+
+def resample(state: State, ancestors: np.ndarray) -> None:
+    """Particle m continues as particle ancestors[m]: Algorithm 1, line 10."""
+    state.poses = state.poses[:, :, ancestors]
+    state.log_weight_sum = state.log_weight_sum[ancestors]
+    state.log_weights = np.zeros(len(ancestors))
+    state.landmarks.resample(ancestors)
+    state.history.resample(ancestors)
+    state.origins = state.origins[ancestors]
