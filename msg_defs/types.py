@@ -156,6 +156,8 @@ class RobotFrame:
     motion: np.ndarray
     """(3,) float64: u = (dx, dy, dyaw) in the robot's previous `base_link` [m, m, rad]."""
     observations: ObservationSet
+    seconds: float = 0.0
+    """How long the motion took [s]."""
     sightings: Sightings | None = None
     """Robots it sees, each of which has a frame at the same instant."""
 

@@ -100,16 +100,18 @@ def _odometry_edges(run: Run, name: str, path: Trajectory, first: int) -> list[s
         return []
     poses = at(odometry, path.stamps_ns)
     motions = [increment(*pair) for pair in pairwise(poses)]
+    seconds = np.diff(path.stamps_ns) / 1e9
     noise = run.config.filter.motion
+    information = [_information(*pair, noise) for pair in zip(motions, seconds, strict=True)]
     return [
-        f"EDGE_SE2 {vertex} {vertex + 1} {_words(motion)} {_words(_information(motion, noise))}\n"
-        for vertex, motion in enumerate(motions, start=first)
+        f"EDGE_SE2 {vertex} {vertex + 1} {_words(motion)} {_words(own)}\n"
+        for vertex, (motion, own) in enumerate(zip(motions, information, strict=True), start=first)
     ]
 
 
-def _information(motion: np.ndarray, noise: MotionSettings) -> np.ndarray:
+def _information(motion: np.ndarray, seconds: float, noise: MotionSettings) -> np.ndarray:
     """(6,): the upper triangle of the inverse covariance, seen from the pose motion leads to."""
-    xx, xy, yy, yaw = spread(motion, noise)
+    xx, xy, yy, yaw = spread(motion, seconds, noise)
     floor = STANDING_VARIANCE * np.eye(2)
     (xx, xy), (_, yy) = np.linalg.inv(np.array([[xx, xy], [xy, yy]]) + floor)
     return np.array([xx, xy, 0, yy, 0, 1 / (yaw + STANDING_VARIANCE)])

@@ -275,7 +275,7 @@ class _Robot:
         self.newest_ns = -1
         self.used_pose = np.zeros(3)
         self._odometry: deque[PoseSample] = deque(maxlen=MOST_ODOMETRY)
-        self._has_moved = False
+        self._used_ns: int | None = None
         self._sends_sightings = sends_sightings
         self._sightings: deque[Sightings] = deque()
         self.sightings_ns = -1
@@ -331,9 +331,12 @@ class _Robot:
         else:
             observations = _nothing(self.name, stamp_ns)
         pose = self._odometry_at(stamp_ns)
-        motion = increment(self.used_pose, pose) if self._has_moved else np.zeros(3)
-        self.used_pose, self._has_moved = pose, True
-        return RobotFrame(self.index, stamp_ns, motion, observations, sightings)
+        motion, seconds = np.zeros(3), 0.0
+        if self._used_ns is not None:
+            motion = increment(self.used_pose, pose)
+            seconds = (stamp_ns - self._used_ns) / 1e9
+        self.used_pose, self._used_ns = pose, stamp_ns
+        return RobotFrame(self.index, stamp_ns, motion, observations, seconds, sightings)
 
     def _odometry_at(self, stamp_ns: int) -> np.ndarray:
         """Odometry interpolated at `stamp_ns`; before the first sample, the first."""

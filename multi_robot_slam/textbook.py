@@ -52,7 +52,7 @@ def update_particles(
     """
     seen = frame.observations
     covariances = stereo.unpack(seen.covariances)
-    sigma = motion.standard_deviations(frame.motion, settings.motion)
+    sigma = motion.standard_deviations(frame.motion, frame.seconds, settings.motion)
     matches = []
     for particle, normal in zip(particles, normals.T, strict=True):
         pose = predict(particle.poses[frame.robot], frame.motion + sigma * normal)

@@ -79,7 +79,7 @@ class World:
 
     def _odometry(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
         u = motion.increment(before, after)
-        return u + motion.standard_deviations(u, self._noise) * self._rng.standard_normal(3)
+        return u + motion.standard_deviations(u, 0.0, self._noise) * self._rng.standard_normal(3)
 
     def _observe(self, pose: np.ndarray, numbers: np.ndarray) -> ObservationSet:
         """What the camera makes of landmarks: (14), (15), linear in the noise of the image."""

@@ -107,7 +107,7 @@ def test_observations_and_odometry_have_the_noise_they_state():
             )
             if step:
                 u = increment(before, after)
-                deviations.append((frame.motion - u) / standard_deviations(u, noise))
+                deviations.append((frame.motion - u) / standard_deviations(u, 0.0, noise))
         poses = world.poses()
     assert np.mean(squared) == pytest.approx(3, abs=5 * np.sqrt(6 / np.size(squared)))
     assert np.mean(np.square(deviations)) == pytest.approx(

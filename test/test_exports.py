@@ -72,7 +72,7 @@ def test_edges_are_the_increments_of_the_odometry_with_the_noise_the_filter_was_
         factor = graph.at(len(run.robots["robot_1"].path.poses) - 1 + row)
         assert [key - len(poses) for key in factor.keys()] == [row, row + 1]  # noqa: SIM118
         motion = increment(poses[row], poses[row + 1])
-        xx, xy, yy, yaw = spread(motion, run.config.filter.motion)
+        xx, xy, yy, yaw = spread(motion, 0.1, run.config.filter.motion)
         covariance = factor.noiseModel().covariance()
         told = [[xx, xy, 0], [xy, yy, 0], [0, 0, yaw]]
         np.testing.assert_allclose(covariance, told, rtol=1e-3, atol=1e-9)

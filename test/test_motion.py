@@ -54,27 +54,35 @@ def test_wrap_is_the_same_angle(angle):
 def test_variances_add_up_however_the_motion_is_cut():
     noise = MotionSettings()
     motion = np.array([0.0, -2.0, -0.5])
-    once = standard_deviations(motion, noise) ** 2
-    np.testing.assert_allclose(8 * standard_deviations(motion / 8, noise) ** 2, once)
-    assert (standard_deviations(np.zeros(3), noise) == 0).all()
+    once = standard_deviations(motion, 0.0, noise) ** 2
+    np.testing.assert_allclose(8 * standard_deviations(motion / 8, 0.0, noise) ** 2, once)
+    assert (standard_deviations(np.zeros(3), 0.0, noise) == 0).all()
 
 
 def test_noise_after_one_metre_and_one_radian_is_what_the_settings_say():
     noise = MotionSettings(0.1, 0.2, 0.3, 0.4)
-    straight = standard_deviations(np.array([0.6, -0.8, 0.0]), noise)
+    straight = standard_deviations(np.array([0.6, -0.8, 0.0]), 0.0, noise)
     np.testing.assert_allclose(straight, [0.1, 0.2, 0.3])
-    np.testing.assert_allclose(standard_deviations(np.array([0, 0, -1.0]), noise), [0, 0, 0.4])
+    np.testing.assert_allclose(standard_deviations(np.array([0, 0, -1.0]), 0.0, noise), [0, 0, 0.4])
 
 
 def test_spread_is_the_covariance_of_noisy_moves():
     noise = MotionSettings(0.1, 0.02, 0.05, 0.03)
     motion = np.array([0.7, 0.2, 0.9])
     poses = np.zeros((3, 200_000))
-    sigma = standard_deviations(motion, noise)[:, None]
+    sigma = standard_deviations(motion, 0.0, noise)[:, None]
     drawn = motion[:, None] + sigma * np.random.default_rng(0).standard_normal(poses.shape)
     move(poses, drawn)
     cos, sin = np.cos(motion[2]), np.sin(motion[2])
     body = np.array([[cos, sin], [-sin, cos]]) @ poses[:2]
-    xx, xy, yy, yaw = spread(motion, noise)
+    xx, xy, yy, yaw = spread(motion, 0.0, noise)
     np.testing.assert_allclose(np.cov(body), [[xx, xy], [xy, yy]], atol=1e-4)
     assert np.isclose(poses[2].var(), yaw, rtol=0.02)
+
+
+def test_noise_of_time_alone_grows_with_its_root():
+    noise = MotionSettings(0, 0, 0, 0, 0.1, 0.2, 0.3)
+    still = standard_deviations(np.zeros(3), 4.0, noise)
+    np.testing.assert_allclose(still, [0.2, 0.4, 0.6])
+    moving = standard_deviations(np.array([1.0, 0, 0]), 4.0, MotionSettings(0.3, 0, 0, 0, 0.2))
+    np.testing.assert_allclose(moving, [0.5, 0, 0])

@@ -83,7 +83,7 @@ def frames_of(t, moved, seen, looks):
             t,
             np.array([*moved, 0.0]),
             ObservationSet("", t, in_camera(seen[[robot]]), isotropic(1, SIGMA_SEE), descriptor),
-            Sightings("", t, others, in_camera(body), isotropic(len(mine), SIGMA_SIGHT)),
+            sightings=Sightings("", t, others, in_camera(body), isotropic(len(mine), SIGMA_SIGHT)),
         )
 
 

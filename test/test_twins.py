@@ -39,10 +39,10 @@ def test_movements_between_two_poses_are_the_same(first, second):
 @given(poses, st.tuples(*[shares] * 4))
 def test_the_motion_model_is_the_odometry_s_noise(movement, sigmas):
     made = robot.movement_variances(movement, OdometryNoise(*sigmas))
-    assumed = motion.standard_deviations(movement, motion.MotionSettings(*sigmas)) ** 2
+    assumed = motion.standard_deviations(movement, 0.0, motion.MotionSettings(*sigmas)) ** 2
     np.testing.assert_allclose(assumed, made, rtol=1e-12, atol=1e-30)
 
 
 def test_by_default_the_filter_assumes_the_noise_and_the_mount_that_are_simulated():
-    assert vars(motion.MotionSettings()) == vars(OdometryNoise())
+    assert motion.MotionSettings() == motion.MotionSettings(**vars(OdometryNoise()))
     assert Scenario().camera.mount == CameraMount()

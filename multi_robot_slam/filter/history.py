@@ -54,6 +54,8 @@ class Record:
     """(B,) int32: id of the landmark that each observation would have created."""
     parents: np.ndarray
     """(R,) int32: row in the record before."""
+    seconds: float = 0.0
+    """How long the motion took [s]."""
     sightings: Seen = NOBODY
 
 
@@ -100,6 +102,7 @@ class History:
             stamp_ns=frame.stamp_ns,
             step=step,
             motion=frame.motion,
+            seconds=frame.seconds,
             positions=frame.observations.positions,
             covariances=frame.observations.covariances,
             poses=poses.copy(),

@@ -10,7 +10,7 @@ from msg_defs.types import settings
 
 @settings
 class MotionSettings:
-    """Noise of one odometry increment: variances grow with the distance and with the turn.
+    """Noise of one odometry increment: variances grow with the distance, the turn and the time.
 
     So the uncertainty of a path does not depend on how many increments it is cut into.
     """
@@ -27,6 +27,15 @@ class MotionSettings:
     yaw_per_sqrt_rad: Annotated[
         float, Ge(0), "standard deviation of the heading after turning 1 rad [rad/sqrt(rad)]"
     ] = 0.02
+    forward_per_sqrt_s: Annotated[
+        float, Ge(0), "standard deviation along the robot after 1 s [m/sqrt(s)]"
+    ] = 0.0
+    left_per_sqrt_s: Annotated[
+        float, Ge(0), "standard deviation across the robot after 1 s [m/sqrt(s)]"
+    ] = 0.0
+    yaw_per_sqrt_s: Annotated[
+        float, Ge(0), "standard deviation of the heading after 1 s [rad/sqrt(s)]"
+    ] = 0.0
 
 
 def increment(previous: np.ndarray, current: np.ndarray) -> np.ndarray:
@@ -39,25 +48,28 @@ def increment(previous: np.ndarray, current: np.ndarray) -> np.ndarray:
     return np.array([cos * dx + sin * dy, cos * dy - sin * dx, wrap(dyaw)])
 
 
-def standard_deviations(motion: np.ndarray, noise: MotionSettings) -> np.ndarray:
-    """Standard deviations (3,) of `motion` (3,), in its own units."""
+def standard_deviations(motion: np.ndarray, seconds: float, noise: MotionSettings) -> np.ndarray:
+    """Standard deviations (3,) of `motion` (3,) that took `seconds`, in its own units."""
     root = np.sqrt(np.hypot(motion[0], motion[1]))
-    turn = np.sqrt(abs(motion[2]))
+    turn, time = np.sqrt(abs(motion[2])), np.sqrt(seconds)
     return np.array(
         [
-            noise.forward_per_sqrt_m * root,
-            noise.left_per_sqrt_m * root,
-            np.hypot(noise.yaw_per_sqrt_m * root, noise.yaw_per_sqrt_rad * turn),
+            np.hypot(noise.forward_per_sqrt_m * root, noise.forward_per_sqrt_s * time),
+            np.hypot(noise.left_per_sqrt_m * root, noise.left_per_sqrt_s * time),
+            np.hypot(
+                np.hypot(noise.yaw_per_sqrt_m * root, noise.yaw_per_sqrt_rad * turn),
+                noise.yaw_per_sqrt_s * time,
+            ),
         ]
     )
 
 
-def spread(motion: np.ndarray, noise: MotionSettings) -> np.ndarray:
+def spread(motion: np.ndarray, seconds: float, noise: MotionSettings) -> np.ndarray:
     """Covariance xx xy yy of the position and variance of the yaw after `motion`: (4,).
 
     Seen from the pose that `motion` (3,) leads to; the noise itself acts in the pose before.
     """
-    forward, left, yaw = np.square(standard_deviations(motion, noise))
+    forward, left, yaw = np.square(standard_deviations(motion, seconds, noise))
     cos, sin = np.cos(motion[2]), np.sin(motion[2])
     return np.array(
         [

@@ -185,7 +185,7 @@ def propose_by_motion(
     """Algorithm 1, lines 14-39: draw the poses from the motion model (7), then match and update."""
     for frame in frames:
         poses = state.poses[frame.robot]
-        sigma = motion.standard_deviations(frame.motion, settings.motion)
+        sigma = motion.standard_deviations(frame.motion, frame.seconds, settings.motion)
         noise = sigma[:, None] * rng.standard_normal(poses.shape)
         motion.move(poses, frame.motion[:, None] + noise)
     certain = np.zeros((len(frames), 6, settings.particles))
@@ -238,7 +238,7 @@ def propose_informed(
     for frame, prior in zip(frames, priors, strict=True):
         poses = state.poses[frame.robot]
         motion.move(poses, frame.motion[:, None])
-        spread = motion.spread(frame.motion, settings.motion).astype(prior.dtype)
+        spread = motion.spread(frame.motion, frame.seconds, settings.motion).astype(prior.dtype)
         informed.spread_in_map(_as_seen(poses, prior.dtype), spread, prior)
     joint, sighted = _look_at_each_other(state, frames, priors, settings, mount)
     infos = []

@@ -122,7 +122,9 @@ def problem_of(
     """
     robots = np.array([record.robot for record in records], np.int64)
     motions = np.array([record.motion for record in records], float).reshape(-1, 3)
-    sigmas = np.array([standard_deviations(u, noise) for u in motions]).reshape(-1, 3)
+    sigmas = np.array([standard_deviations(r.motion, r.seconds, noise) for r in records]).reshape(
+        -1, 3
+    )
     counts = [len(record.positions) for record in records]
     seen_from = np.repeat(np.arange(len(records)), counts)
     seen = np.concatenate([np.empty(0, np.int64), *identities]).astype(np.int64)
