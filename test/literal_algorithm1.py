@@ -154,7 +154,7 @@ def run(steps, starts, settings, mount, rng):
         settings.gate,
         settings.descriptor_gate,
         (mount.forward_m, mount.left_m, mount.up_m),
-        tuple(vars(settings.motion).values()),
+        tuple(vars(settings.motion).values())[:4],
     )
     S = [Particle([np.array(pose, float) for pose in starts]) for _ in range(settings.particles)]
     choices = []

@@ -19,7 +19,7 @@ def both(request):
         settings.gate,
         settings.descriptor_gate,
         (mount.forward_m, mount.left_m, mount.up_m),
-        tuple(vars(settings.motion).values()),
+        tuple(vars(settings.motion).values())[:4],
     )
     S = [literal.Particle([p.copy() for p in worlds.START]) for _ in range(PARTICLES)]
     particles = [textbook.Particle([p.copy() for p in worlds.START]) for _ in range(PARTICLES)]
