@@ -63,6 +63,11 @@ class Pipeline:
         self._first_ns: int | None = None
         self._filtered_ns = -1
 
+    @property
+    def _draws(self) -> bool:
+        """The particles are rejuvenated: draws from the posterior, of which none is the best."""
+        return self.config.filter.rejuvenation.ancestors_below > 0
+
     def warm_up(self) -> None:
         """Compile the filter's kernels, or load them from the cache."""
         rbpf.warm_up(self.config.filter, self.config.mount)
@@ -118,10 +123,12 @@ class Pipeline:
         return steps
 
     def landmark_map(self) -> LandmarkMap:
-        """The best particle's map (17)."""
+        """The best particle's map (17); where it draws, what all particles make of its landmarks."""
         state, landmarks = self._state, self._state.landmarks
         best = rbpf.best_particle(state)
         columns, values = landmarks.of_particle(best)
+        if self._draws:
+            values = landmarks.mixture(columns, resampling.normalise(state.log_weights))
         ids = landmarks.ids[columns]
         observations = np.zeros(ids.max(initial=-1) + 1, np.uint32)
         robots = np.zeros_like(observations)
@@ -250,11 +257,10 @@ class Pipeline:
     def _estimate(
         self, frame: RobotFrame, best: int, mean: np.ndarray, covariance: np.ndarray
     ) -> Estimate:
-        draws = self.config.filter.rejuvenation.ancestors_below > 0
         return Estimate(
             robot=frame.observations.robot,
             stamp_ns=frame.stamp_ns,
-            pose=_wrapped(mean if draws else self._state.poses[frame.robot, :, best]),
+            pose=_wrapped(mean if self._draws else self._state.poses[frame.robot, :, best]),
             covariance=covariance,
             mean=_wrapped(mean),
         )

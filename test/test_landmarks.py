@@ -108,3 +108,26 @@ def test_growth_keeps_what_was_there():
     assert (lazy.descriptors[columns] == 1).all()
     assert (lazy.boxes[columns, 0] < 7).all()
     assert (lazy.ids[52:] == FREE).all()
+
+
+def test_mixture_is_the_moments_of_the_particles_that_have_the_landmark():
+    rng = np.random.default_rng(0)
+    lazy, eager = Landmarks(PARTICLES, np.float64), Eager()
+    owners = np.array([True, True, False, True, True, True])
+    create(lazy, eager, owners, rng)
+    root = rng.normal(size=(PARTICLES, 3, 3))
+    full = root @ root.transpose(0, 2, 1)
+    lazy.planes[0, 3:] = full[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]].T
+    ancestors = np.array([0, 0, 2, 3, 5, 5])
+    lazy.resample(ancestors)
+    weights = rng.dirichlet(np.ones(PARTICLES))
+    (mixed,) = lazy.mixture(np.array([0]), weights)
+    share = weights * owners[ancestors] / (weights * owners[ancestors]).sum()
+    means = lazy.planes[0, :3, ancestors]
+    mean = share @ means
+    second = sum(
+        w * (full[a] + np.outer(mu, mu)) for w, a, mu in zip(share, ancestors, means, strict=True)
+    )
+    np.testing.assert_allclose(mixed[:3], mean)
+    expected = (second - np.outer(mean, mean))[[0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
+    np.testing.assert_allclose(mixed[3:], expected)

@@ -125,6 +125,23 @@ class Landmarks:
         has = values[:, 0] < kernels.FAR / 2
         return columns[has], values[has]
 
+    def mixture(self, columns: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        """Mean and covariance (N, 9) of `columns` (N,) over all particles that have them.
+
+        `weights` (M,) of the particles. How the means differ from particle to particle is in it.
+        """
+        result = np.empty((len(columns), kernels.PLANES))
+        for n, column in enumerate(columns):
+            planes = self.planes[column][:, self._rows[self._generations[column]]].astype(float)
+            share = weights * (planes[0] < kernels.FAR / 2)
+            share /= share.sum()
+            mean = planes[:3] @ share
+            apart = planes[:3] - mean[:, None]
+            spread = (apart * share) @ apart.T
+            result[n, :3] = mean
+            result[n, 3:] = planes[3:] @ share + spread[[0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
+        return result
+
     def _release_unowned(self, columns: np.ndarray) -> None:
         owners = kernels.count_owners(self.planes, columns, self._rows, self._generations[columns])
         self._partial[columns] = owners < self.planes.shape[2]
