@@ -12,7 +12,8 @@ from multi_robot_slam.filter import smoothing, stereo
 from multi_robot_slam.filter.association import squared_distances
 from multi_robot_slam.filter.history import Record
 from multi_robot_slam.filter.motion import wrap
-from multi_robot_slam.filter.smoothing import Problem, Smoothed
+from multi_robot_slam.filter.smoothing import Smoothed
+from multi_robot_slam.filter.smoothing_problem import Problem, problem_of
 from multi_robot_slam.pipeline import Pipeline
 from multi_robot_slam.runs import Run
 
@@ -20,7 +21,7 @@ Lineage = Sequence[tuple[Record, int]]
 """The past of one particle, oldest first: its row in each record (`Pipeline.lineage`)."""
 
 MAX_FRAMES = 5000
-"""More would need over 2 GB, and minutes: time grows with their cube."""
+"""More would need over 2 GB, and minutes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +129,7 @@ def yardstick(
 
 def _problem(records: Sequence[Record], identities: list[np.ndarray], config: Config) -> Problem:
     starts = np.array(config.start_poses)
-    return smoothing.problem_of(records, identities, starts, config.filter.motion, config.mount)
+    return problem_of(records, identities, starts, config.filter.motion, config.mount)
 
 
 def _alike(descriptors: np.ndarray, threshold: float) -> np.ndarray:

@@ -10,9 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from threadpoolctl import threadpool_limits
 
-from multi_robot_slam.filter import rbpf, smoothing
+from multi_robot_slam.filter import rbpf, smoothing, stereo
+from multi_robot_slam.filter.envelope import envelope_of, factorise
+from multi_robot_slam.filter.history import Seen
 from multi_robot_slam.filter.motion import wrap
-from multi_robot_slam.filter.smoothing import Problem, smooth
+from multi_robot_slam.filter.smoothing import smooth
+from multi_robot_slam.filter.smoothing_problem import Known, Problem, problem_of
 
 GATE = 11.345
 
@@ -27,19 +30,64 @@ def filtered(seed=0, steps=12, robots=3, particles=8, **changes):
     return state, settings
 
 
-def posed(state, settings, particle=0):
-    """The problem of a particle's history, and the particle's path (P, 3)."""
+def remembered(state, particle=0, sighted=False):
+    """Records and identities of a particle's history, and its path (P, 3)."""
     lineage = list(state.history.lineage(particle))[::-1]
+    poses = np.array([record.poses[:, row] for record, row in lineage])
     records = [record for record, _ in lineage]
-    identities = [record.matches[:, row] for record, row in lineage]
+    if sighted:
+        records = with_sightings(records, poses, state.poses.shape[0])
+    return records, [record.matches[:, row] for record, row in lineage], poses
+
+
+def with_sightings(records, poses, robots):
+    """The records with noisy sightings: in every second step each robot sees the next one."""
+    rng = np.random.default_rng(0)
+    result = []
+    for p, record in enumerate(records):
+        if record.step % 2:
+            other = (record.robot + 1) % robots
+            apart = poses[p - record.robot + other, :2] - poses[p, :2]
+            cos, sin = np.cos(poses[p, 2]), np.sin(poses[p, 2])
+            root = rng.normal(0, 0.02, (2, 2)) + 0.02 * np.eye(2)
+            R = root @ root.T + 1e-5 * np.eye(2)
+            seen = np.array([[cos, sin], [-sin, cos]]) @ apart + rng.multivariate_normal([0, 0], R)
+            sightings = Seen(np.array([other]), seen[None], R[[0, 0, 1], [0, 1, 1]][None])
+            record = replace(record, sightings=sightings)
+        result.append(record)
+    return result
+
+
+def posed(state, settings, particle=0, sighted=False):
+    """The problem of a particle's history, and the particle's path (P, 3)."""
+    records, identities, poses = remembered(state, particle, sighted)
     start = worlds.START[: state.poses.shape[0]]
-    problem = smoothing.problem_of(records, identities, start, settings.motion, worlds.MOUNT)
-    return problem, np.array([record.poses[:, row] for record, row in lineage])
+    return problem_of(records, identities, start, settings.motion, worlds.MOUNT), poses
 
 
-@pytest.fixture(scope="module")
-def drive():
-    return posed(*filtered())
+@pytest.fixture(scope="module", params=[False, True], ids=["alone", "sighted"])
+def drive(request):
+    return posed(*filtered(steps=18), sighted=request.param)
+
+
+def information(factor):
+    """H (3 P, 3 P) in the order of the poses."""
+    columns = factor.solve_upper(np.eye(len(factor.envelope.rows)))
+    return np.linalg.inv(columns @ columns.T)
+
+
+def matrix(envelope, elements):
+    """The symmetric matrix (3 P, 3 P), in the order of elimination, that `elements` are of."""
+    size = envelope.edges[-1]
+    lower = np.zeros((size, size))
+    for t, tile in enumerate(envelope.tiles(elements)):
+        stop = envelope.edges[t + 1]
+        lower[envelope.edges[t] : stop, envelope.begins[t] : stop] = tile
+    return np.tril(lower) + np.tril(lower, -1).T
+
+
+def weights_of_one(problem):
+    return np.ones(len(problem.positions) + len(problem.sighted.seen))
 
 
 def straight(seed=0, poses=6, landmarks=4):
@@ -61,7 +109,7 @@ def straight(seed=0, poses=6, landmarks=4):
         seen_from=seen_from,
         starts=poses * np.arange(landmarks + 1),
         positions=truth + noise,
-        information=smoothing.stereo.pack(np.linalg.inv(R)),
+        information=stereo.pack(np.linalg.inv(R)),
         ids=np.arange(landmarks),
     )
 
@@ -77,7 +125,7 @@ def dense(problem):
             A[:, 2 * p - 2 : 2 * p] = -np.eye(2)
         rows.append(A / problem.sigmas[p, :2, None])
         values.append(problem.motions[p, :2] / problem.sigmas[p, :2])
-    W = smoothing.stereo.unpack(problem.information)
+    W = stereo.unpack(problem.information)
     for o, landmark in enumerate(problem.landmarks):
         A = np.zeros((3, 2 * poses + 3 * landmarks))
         A[:2, 2 * problem.seen_from[o] : 2 * problem.seen_from[o] + 2] = -np.eye(2)
@@ -97,28 +145,30 @@ def test_linear_world_is_solved_exactly():
     assert found.converged
     np.testing.assert_allclose(found.poses[:, :2].ravel(), mean[:12], atol=1e-9)
     np.testing.assert_allclose(found.landmarks[:, :3].ravel(), mean[12:], atol=1e-9)
-    H = found.factor @ found.factor.T
+    H = information(found.factor)
     xy = np.arange(18).reshape(6, 3)[:, :2].ravel()
     np.testing.assert_allclose(np.linalg.inv(H)[np.ix_(xy, xy)], covariance[:12, :12], atol=1e-9)
     Y = smoothing.landmark_deviations(problem, found).reshape(12, -1)
+    chosen = smoothing.landmark_deviations(problem, found, np.array([2, 0]))
+    np.testing.assert_allclose(chosen, Y.reshape(4, 3, -1)[[2, 0]], rtol=1e-12)
     marginal = Y @ Y.T
-    for n, given_poses in enumerate(smoothing.stereo.unpack(found.landmarks[:, 3:])):
+    for n, given_poses in enumerate(stereo.unpack(found.landmarks[:, 3:])):
         marginal[3 * n : 3 * n + 3, 3 * n : 3 * n + 3] += given_poses
     np.testing.assert_allclose(marginal, covariance[12:, 12:], atol=1e-9)
 
 
 def cost(problem, poses):
-    ones = np.ones(len(problem.positions))
-    _, squared = smoothing._landmarks_and_distances(problem, poses, ones)
+    ones = weights_of_one(problem)
+    _, squared = smoothing.landmarks_and_distances(problem, poses, ones)
     return smoothing._cost(problem, poses, squared, np.inf)
 
 
 def test_gradient_is_the_finite_difference(drive):
     problem, poses = drive
     poses = poses + np.random.default_rng(0).normal(0, 0.01, poses.shape)
-    ones = np.ones(len(problem.positions))
-    landmarks, _ = smoothing._landmarks_and_distances(problem, poses, ones)
-    _, gradient = smoothing._factorise(problem, poses, landmarks, ones)
+    ones = weights_of_one(problem)
+    landmarks, _ = smoothing.landmarks_and_distances(problem, poses, ones)
+    _, gradient = smoothing._system(problem, poses, landmarks, ones, envelope_of(problem))
     for index in range(9, poses.size, 7):
         step = np.zeros(poses.size)
         step[index] = 1e-6
@@ -155,10 +205,14 @@ def gtsam_twin(problem, poses, landmarks):
             add(noise, [p], lambda b, u=u, a=start: moved(a, b, u))
         else:
             add(noise, [problem.previous[p], p], lambda a, b, u=u: moved(a, b, u))
-    R = np.linalg.inv(smoothing.stereo.unpack(problem.information))
+    R = np.linalg.inv(stereo.unpack(problem.information))
     for o, n in enumerate(problem.landmarks):
         noise = gtsam.noiseModel.Gaussian.Covariance(R[o])
         add(noise, [problem.seen_from[o], L(n)], lambda x, m, v=problem.positions[o]: seen(x, m, v))
+    R = np.linalg.inv(problem.sighted.information[:, [0, 1, 1, 2]].reshape(-1, 2, 2))
+    for p, q, s, covariance in zip(*problem.sighted[:3], R, strict=True):
+        noise = gtsam.noiseModel.Gaussian.Covariance(covariance)
+        add(noise, [p, q], lambda a, b, s=s: a.transformTo(b.translation()) - s)
     found = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
     at = [found.atPose2(p) for p in range(len(poses))]
     places = [found.atPoint3(L(n)) for n in range(len(landmarks))]
@@ -195,6 +249,37 @@ def test_optimum_is_that_of_gtsam(drive):
     np.testing.assert_allclose(found.landmarks[:, :3], places, atol=1e-4)
 
 
+def test_factor_inside_the_envelope_is_that_of_the_whole_matrix(drive):
+    problem, poses = drive
+    ones, envelope = weights_of_one(problem), envelope_of(problem)
+    landmarks, _ = smoothing.landmarks_and_distances(problem, poses, ones)
+    elements, _ = smoothing._system(problem, poses, landmarks, ones, envelope)
+    H = matrix(envelope, elements)
+    factor = factorise(envelope, elements)
+    assert len(factor.tiles) == 3
+    right = np.random.default_rng(0).standard_normal((len(H), 4))
+    lower = np.linalg.solve(np.linalg.cholesky(H), right[envelope.rows])
+    upper = np.linalg.solve(np.linalg.cholesky(H).T, right)
+    np.testing.assert_allclose(factor.solve_lower(right), lower, atol=1e-9)
+    np.testing.assert_allclose(factor.solve_upper(right)[envelope.rows], upper, atol=1e-9)
+
+
+def test_envelope_follows_a_long_corridor():
+    """Landmarks seen by neighbours only: a band, whatever the order of the poses."""
+    poses, landmarks = 300, 299
+    rng = np.random.default_rng(0)
+    shuffled = rng.permutation(poses)
+    seen_from = np.sort(np.stack([shuffled[:-1], shuffled[1:]], axis=1), axis=1).ravel()
+    corridor = replace(
+        straight(poses=2, landmarks=landmarks),
+        robots=np.zeros(poses, int),
+        previous=np.full(poses, -1),
+        seen_from=seen_from,
+    )
+    # Tiles of 72 rows reach back one tile: 12 (72^2 + 72^2) of 900^2 / 2 elements.
+    assert envelope_of(corridor).size < 0.35 * (3 * poses) ** 2 / 2
+
+
 @pytest.mark.parametrize("robust_above", [np.inf, GATE])
 def test_the_start_of_the_search_does_not_matter(drive, robust_above):
     problem, poses = drive
@@ -207,40 +292,6 @@ def test_the_start_of_the_search_does_not_matter(drive, robust_above):
     np.testing.assert_allclose(again.poses, found.poses, atol=1e-4)
 
 
-def test_drawn_paths_have_the_covariance_of_the_optimum(drive):
-    problem, poses = drive
-    found = smooth(problem, poses)
-    normals = np.random.default_rng(2).standard_normal((found.poses.size, 4000))
-    deviations = (smoothing.draw(found, normals) - found.poses[:, :, None]).reshape(normals.shape)
-    covariance = np.linalg.inv(found.factor @ found.factor.T)
-    sigma = np.sqrt(np.diag(covariance))
-    sample = np.cov(deviations) / np.outer(sigma, sigma)
-    expected = covariance / np.outer(sigma, sigma)
-    # The standard error of a correlation is at most sqrt(2 / 4000); the largest of 5,000 is 4.5.
-    np.testing.assert_allclose(sample, expected, atol=4.5 * np.sqrt(2 / 4000))
-
-
-@pytest.mark.parametrize("proposal", ["motion", "informed"])
-def test_landmarks_given_its_path_are_the_particle_s(proposal):
-    """Every particle's EKFs, one observation after the other, hold what the sums hold."""
-    state, settings = filtered(seed=3, proposal=proposal, particles=5)
-    for m in range(5):
-        problem, path = posed(state, settings, m)
-        planes = smoothing.landmarks_given_paths(problem, path[:, :, None])
-        columns, values = state.landmarks.of_particle(m)
-        assert problem.ids.tolist() == state.landmarks.ids[columns].tolist()
-        np.testing.assert_allclose(planes[:, :, 0], values, rtol=1e-7, atol=1e-10)
-
-
-def test_several_paths_are_rebuilt_as_each_alone(drive):
-    problem, path = drive
-    paths = path[:, :, None] + np.random.default_rng(4).normal(0, 0.1, (*path.shape, 7))
-    together = smoothing.landmarks_given_paths(problem, paths)
-    for m in range(7):
-        alone = smoothing.landmarks_given_paths(problem, paths[:, :, m : m + 1])
-        np.testing.assert_allclose(together[:, :, m], alone[:, :, 0], rtol=1e-12)
-
-
 def test_wrong_associations_are_resisted():
     problem = straight(seed=5, poses=20, landmarks=8)
     right = smooth(problem, np.zeros((20, 3)))
@@ -249,7 +300,7 @@ def test_wrong_associations_are_resisted():
     wrong[planted] += [2.0, -1.5, 0.5]
     fooled = replace(problem, positions=wrong)
     plain, robust = smooth(fooled, right.poses), smooth(fooled, right.poses, GATE)
-    spread = np.sqrt(np.linalg.inv(right.factor @ right.factor.T)[0, 0])
+    spread = np.sqrt(np.linalg.inv(information(right.factor))[0, 0])
     assert robust.weights[planted].max() < np.delete(robust.weights, planted).min()
     assert np.abs(robust.poses - right.poses).max() < spread
     assert np.abs(plain.poses - right.poses).max() > spread
@@ -258,8 +309,8 @@ def test_wrong_associations_are_resisted():
 @given(st.floats(0, 1e4), st.floats(0.1, 100))
 def test_robust_weight_is_the_derivative_of_the_robust_distance(squared, threshold):
     step = 1e-5 * max(1, squared)
-    above, below = (smoothing._robust(np.array([squared + s]), threshold)[0] for s in (step, -step))
-    weight = smoothing._robust_weights(np.array([squared]), threshold)[0]
+    above, below = (smoothing._robust(squared + s, threshold) for s in (step, -step))
+    weight = smoothing._robust_weights(squared, threshold)
     assert (above - below) / (2 * step) == pytest.approx(weight, abs=1e-3)
 
 
@@ -286,5 +337,48 @@ def test_threads_of_the_linear_algebra_change_no_byte():
     for threads in (1, 2):
         with threadpool_limits(threads):
             found = smooth(problem, poses, GATE)
-            results.append((found.poses.tobytes(), found.factor.tobytes()))
+            tiles = [tile.tobytes() for tile in found.factor.tiles]
+            results.append((found.poses.tobytes(), tiles))
     assert results[0] == results[1]
+
+
+@pytest.mark.parametrize("sighted", [False, True])
+@pytest.mark.parametrize("robust_above", [np.inf, GATE])
+def test_optimum_stays_when_older_poses_settle(sighted, robust_above):
+    """Twice: what settles the second time includes what is known from the first."""
+    state, settings = filtered(steps=15)
+    records, identities, poses = remembered(state, sighted=sighted)
+    start, known, first = worlds.START, Known.nothing(), 0
+    whole, whole_ids = None, np.unique(np.concatenate(identities))
+    for count in (0, 12, 18):
+        first += count
+        problem = problem_of(
+            records[first:], identities[first:], start, settings.motion, worlds.MOUNT, known
+        )
+        found = smooth(
+            problem, poses[first:] if whole is None else whole.poses[first:], robust_above
+        )
+        assert found.converged
+        whole = whole or found
+        np.testing.assert_array_equal(problem.ids, whole_ids)
+        np.testing.assert_allclose(found.poses, whole.poses[first:], atol=1e-4)
+        np.testing.assert_allclose(found.landmarks[:, :3], whole.landmarks[:, :3], atol=1e-4)
+        start, known = smoothing.settle(problem, found, 12 if first == 0 else 18)
+
+
+def test_gross_errors_are_left_out():
+    """An identity below zero: as if the observation had never been made."""
+    state, settings = filtered(steps=6)
+    records, identities, _ = remembered(state)
+    discarded = [np.where(np.arange(len(rows)) == 1, -1, rows) for rows in identities]
+    without = [
+        replace(
+            r, positions=np.delete(r.positions, 1, 0), covariances=np.delete(r.covariances, 1, 0)
+        )
+        for r in records
+    ]
+    kept = [np.delete(rows, 1) for rows in identities]
+    common = (worlds.START, settings.motion, worlds.MOUNT)
+    found, expected = problem_of(records, discarded, *common), problem_of(without, kept, *common)
+    for name in ("seen_from", "starts", "positions", "information", "ids"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))

@@ -10,7 +10,8 @@ from scipy.special import chdtrc, chdtri
 
 from multi_robot_slam.filter import smoothing, stereo
 from multi_robot_slam.filter.association import squared_distances
-from multi_robot_slam.filter.smoothing import Problem, Smoothed
+from multi_robot_slam.filter.smoothing import Smoothed
+from multi_robot_slam.filter.smoothing_problem import Problem
 
 
 def alike(descriptors: np.ndarray, threshold: float) -> np.ndarray:

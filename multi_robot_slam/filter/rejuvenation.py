@@ -20,9 +20,10 @@ import numpy as np
 from annotated_types import Ge, Interval
 
 from msg_defs.types import CameraMount, settings
-from multi_robot_slam.filter import joining, resampling, smoothing
+from multi_robot_slam.filter import joining, resampling, smoothing, whole_paths
 from multi_robot_slam.filter.history import Past, Record
 from multi_robot_slam.filter.motion import MotionSettings
+from multi_robot_slam.filter.smoothing_problem import problem_of
 from multi_robot_slam.filter.state import State, resample
 
 
@@ -127,8 +128,8 @@ def _draw(
     problem, smoothed, identities = _smooth(state, records, poses, identities, associations)
     normals = rng.standard_normal((3 * len(records), len(members)))
     normals[:, 0] = 0
-    paths = smoothing.draw(smoothed, normals)
-    planes, densities = smoothing.landmarks_and_log_density(
+    paths = whole_paths.draw(smoothed, normals)
+    planes, densities = whole_paths.landmarks_and_log_density(
         problem, paths, smoothed.weights, state.landmarks.planes.dtype, associations.threads
     )
     log_weights = densities + 0.5 * np.square(normals).sum(axis=0)
@@ -154,7 +155,7 @@ def _past(state: State, members: np.ndarray) -> tuple[list[Record], np.ndarray, 
 def _smooth(state, records, poses, identities, associations: Associations):
     """Smooth, join landmarks that turn out to be one, repeat until none do."""
     while True:
-        problem = smoothing.problem_of(
+        problem = problem_of(
             records, identities, state.start_poses, associations.motion, associations.mount
         )
         smoothed = smoothing.smooth(problem, poses, robust_above=associations.gate)

@@ -1,0 +1,256 @@
+"""Rejuvenation: against the exact smoother, filtering along the drawn paths, and its laws."""
+
+from dataclasses import replace
+
+import literal_algorithm1 as literal
+import numpy as np
+import pytest
+import test_exact_posterior as linear
+import worlds
+
+from msg_defs.types import ObservationSet, RobotFrame
+from multi_robot_slam.filter import rbpf, rejuvenation, stereo
+from multi_robot_slam.filter.motion import MotionSettings
+from multi_robot_slam.filter.rejuvenation import RejuvenationSettings
+
+ALWAYS = RejuvenationSettings(ancestors_below=1.0)
+
+
+def run(steps, settings, seed=0, dtype=np.float64):
+    state = rbpf.init(worlds.START, settings, dtype)
+    rng = np.random.default_rng(seed)
+    return state, [rbpf.step(state, frames, settings, worlds.MOUNT, rng) for frames in steps]
+
+
+def rejuvenated(state, settings, seed=1):
+    """Rejuvenate now, whether due or not."""
+    associations = rejuvenation.Associations(
+        settings.gate,
+        settings.descriptor_gate,
+        settings.exclusive,
+        settings.motion,
+        worlds.MOUNT,
+        threads=1,
+    )
+    rng = np.random.default_rng(seed)
+    return rejuvenation.rejuvenate(state, settings.rejuvenation, associations, rng)
+
+
+def exact_smoother(moves, seen):
+    """Least squares over all positions (T, 2) and landmarks (N, 3): mean and covariance."""
+    steps, count = len(moves), linear.LANDMARKS
+    size = 2 * steps + 3 * count
+    rows, values, sigmas = [], [], []
+    for t in range(1, steps):
+        for axis in range(2):
+            row = np.zeros(size)
+            row[2 * t + axis], row[2 * (t - 1) + axis] = 1, -1
+            rows.append(row)
+            values.append(moves[t, axis])
+            sigmas.append(linear.SIGMA_MOVE)
+    for t in range(steps):
+        for n in range(count):
+            for axis in range(3):
+                row = np.zeros(size)
+                row[2 * steps + 3 * n + axis] = 1
+                if axis < 2:
+                    row[2 * t + axis] = -1
+                rows.append(row)
+                values.append(seen[t, n, axis])
+                sigmas.append(linear.SIGMA_SEE)
+    free = np.arange(2, size)  # the first position is known
+    A = np.array(rows)[:, free] / np.array(sigmas)[:, None]
+    covariance = np.linalg.inv(A.T @ A)
+    return covariance @ A.T @ (np.array(values) / sigmas), covariance
+
+
+@pytest.mark.parametrize("proposal", ["motion", "informed"])
+def test_in_a_linear_world_the_particles_are_the_exact_smoother_s(proposal):
+    """Whole paths and landmarks, from a filter that had lost all but a few of its ancestors."""
+    count = 20_000
+    noise = MotionSettings(linear.SIGMA_MOVE, linear.SIGMA_MOVE, 0.0, 0.0)
+    settings = rbpf.FilterSettings(
+        particles=count, gate=1e6, proposal=proposal, resample_below=1.0, motion=noise
+    )
+    moves, seen = linear.world(3)
+    state = rbpf.init(np.zeros((1, 3)), settings, np.float64)
+    rng = np.random.default_rng(0)
+    descriptors = np.eye(linear.LANDMARKS, 128, dtype=np.float32)
+    R = stereo.pack(np.tile(linear.SIGMA_SEE**2 * np.eye(3), (linear.LANDMARKS, 1, 1)))
+    for t in range(linear.STEPS):
+        camera = np.stack([-seen[t, :, 1], seen[t, :, 2], seen[t, :, 0]], axis=1)
+        z = ObservationSet("", t, camera, R, descriptors)
+        rbpf.step(
+            state, [RobotFrame(0, t, np.array([*moves[t], 0.0]), z)], settings, linear.MOUNT, rng
+        )
+    associations = rejuvenation.Associations(1e6, 0.04, True, noise, linear.MOUNT, threads=1)
+    info = rejuvenation.rejuvenate(state, settings.rejuvenation, associations, rng)
+    assert info.alone == 0
+    assert info.effective_particles > 0.95 * count
+
+    weights = rbpf.resampling.normalise(state.log_weights)
+    paths = np.concatenate([record.poses[:2] for record in state.history.records[1:]])
+    landmarks = state.landmarks
+    landmarks.bring_up_to_date(landmarks.alive())
+    planes = landmarks.planes[landmarks.columns_of(np.arange(linear.LANDMARKS))]
+    places = np.concatenate([paths, planes[:, :3].reshape(-1, count)])
+    mean = places @ weights
+    covariance = (places - mean[:, None]) * weights @ (places - mean[:, None]).T
+    offset = len(paths)
+    for n in range(linear.LANDMARKS):
+        block = slice(offset + 3 * n, offset + 3 * n + 3)
+        covariance[block, block] += stereo.unpack(planes[n, 3:] @ weights)
+    expected, spread = exact_smoother(moves, seen)
+    # A heading of sigma 1e-5 stays free.
+    np.testing.assert_allclose(mean, expected, atol=5 * np.sqrt(np.diag(spread).max() / count))
+    np.testing.assert_allclose(covariance, spread, atol=0.05 * np.diag(spread).max())
+
+
+def test_landmark_filters_are_those_of_filtering_along_the_drawn_path():
+    settings = worlds.settings(particles=5, proposal="informed", gate=1e3)
+    state, _ = run(worlds.drive(4, steps=12), settings)
+    rejuvenated(state, settings)
+    place = (worlds.MOUNT.forward_m, worlds.MOUNT.left_m, worlds.MOUNT.up_m)
+    model = literal.Model(settings.gate, settings.descriptor_gate, place, (0, 0, 0, 0))
+    for m in range(5):
+        known = {}
+        for record, row in list(state.history.lineage(m))[::-1]:
+            pose, R = record.poses[:, row], stereo.unpack(record.covariances)
+            for b, n in enumerate(record.matches[:, row]):
+                G, v = literal.G(pose), record.positions[b].astype(float)
+                if n not in known:
+                    sigma = np.linalg.inv(G.T @ np.linalg.inv(R[b]) @ G)
+                    known[n] = literal.g_inverse(pose, v, model), sigma
+                    continue
+                mu, sigma = known[n]
+                K = sigma @ G.T @ np.linalg.inv(G @ sigma @ G.T + R[b])
+                known[n] = (
+                    mu + K @ (v - literal.g(pose, mu, model)),
+                    (np.eye(3) - K @ G) @ sigma,
+                )
+        columns, values = state.landmarks.of_particle(m)
+        assert state.landmarks.ids[columns].tolist() == sorted(known)
+        for n, plane in zip(sorted(known), values, strict=True):
+            np.testing.assert_allclose(plane[:3], known[n][0], atol=1e-9)
+            np.testing.assert_allclose(stereo.unpack(plane[3:]), known[n][1], atol=1e-9)
+
+
+def test_same_seed_same_bytes():
+    settings = worlds.settings(
+        particles=30, proposal="informed", resample_below=0.5, rejuvenation=ALWAYS
+    )
+    steps = worlds.drive(7, steps=15, alike=0.2)
+    one, infos = run(steps, settings, seed=3)
+    other, _ = run(steps, replace(settings, threads=2), seed=3)
+    assert sum(info.rejuvenated is not None for info in infos) > 5
+    assert one.poses.tobytes() == other.poses.tobytes()
+    assert one.log_weights.tobytes() == other.log_weights.tobytes()
+    for m in (0, 29):
+        assert (
+            one.landmarks.of_particle(m)[1].tobytes() == other.landmarks.of_particle(m)[1].tobytes()
+        )
+
+
+def test_without_loops_published_poses_move_less_than_their_standard_deviation():
+    """Robots that never see anything again after a few frames: smoothing has little to add."""
+    settings = worlds.settings(particles=2000, proposal="informed", resample_below=0.5)
+    differences = []
+    for seed in range(3):
+        steps = straight_ahead(seed, steps=25)
+        plain = run(steps, settings, seed=seed)[1]
+        fresh = run(
+            steps, replace(settings, rejuvenation=replace(ALWAYS, ancestors_below=0.5)), seed=seed
+        )[1]
+        assert any(info.rejuvenated for info in fresh)
+        for a, b in zip(plain, fresh, strict=True):
+            for (mean, _), (other, covariance) in zip(a.moments, b.moments, strict=True):
+                sigma = np.sqrt(np.diag(covariance)) + 1e-9
+                differences.append((mean - other) / sigma)
+    assert np.sqrt(np.mean(np.square(differences))) < 1
+
+
+def straight_ahead(seed, steps):
+    """One robot that drives past new landmarks, each seen in three frames."""
+    rng = np.random.default_rng(seed)
+    descriptors = rng.random((steps + 3, 4, 128))
+    descriptors /= np.linalg.norm(descriptors, axis=2, keepdims=True)
+    landmarks = rng.uniform([1, -2, 0], [2, 2, 2], (steps + 3, 4, 3))
+    landmarks[:, :, 0] += 0.2 * np.arange(steps + 3)[:, None]
+    frames = []
+    for t in range(steps):
+        u = np.array([0.2, 0, 0]) * (t > 0)
+        seen = slice(t, t + 3)
+        z = worlds.observe(
+            np.array([0.2 * t, 0, 0]),
+            landmarks[seen].reshape(-1, 3),
+            descriptors[seen].reshape(-1, 128),
+            rng,
+            t,
+        )
+        frames.append([RobotFrame(0, t * 10**9, u + rng.normal(0, 0.01, 3) * (t > 0), z)])
+    return frames
+
+
+def test_particles_with_another_history_keep_it():
+    """Two thirds share one history; the others are too few and stay exactly as they were."""
+    settings = worlds.settings(particles=30, proposal="informed", gate=1e3, resample_below=0.01)
+    state, _ = run(worlds.drive(2, steps=6), settings)
+    state.log_weights[:] = 0
+    state.history.signatures[20:] = np.arange(10)
+    before = state.poses.copy()
+    settings = replace(settings, rejuvenation=replace(ALWAYS, share=0.5))
+    info = rejuvenated(state, settings)
+    assert (info.groups, info.alone) == (1, 10)
+    assert (state.poses[:, :, 20:] == before[:, :, 20:]).all()
+    assert (state.poses[:, :, :20] != before[:, :, :20]).any(axis=(0, 1)).all()
+
+
+def test_landmarks_a_particle_had_split_are_joined():
+    settings = worlds.settings(particles=10, proposal="informed", gate=1e3, exclusive=True)
+    steps = worlds.drive(5, steps=10)
+    state, _ = run(steps, settings)
+    whole = len(state.landmarks.of_particle(0)[0])
+    split = next(
+        record
+        for record in reversed(state.history.records)
+        if (record.matches[:, 0] != record.new_ids).all()
+    )
+    spare = int(split.new_ids[0])
+    columns = state.landmarks.reserve(1)
+    state.landmarks.ids[columns] = spare
+    old = state.landmarks.columns_of(split.matches[:1, 0])
+    state.landmarks.bring_up_to_date(old)
+    state.landmarks.planes[columns] = state.landmarks.planes[old]
+    state.landmarks.settle(columns, np.array([10]), state.landmarks.descriptors[old])
+    split.matches = split.matches.copy()
+    split.matches[0] = spare
+    assert len(state.landmarks.of_particle(0)[0]) == whole + 1
+    rejuvenated(state, settings)
+    assert len(state.landmarks.of_particle(0)[0]) == whole
+
+
+def test_every_particle_has_a_past_of_its_own_and_the_filter_goes_on():
+    steps = worlds.drive(6, steps=40)
+    settings = worlds.settings(particles=50, proposal="informed", resample_below=0.5)
+    plain, _ = run(steps, settings)
+    assert plain.history.distinct_ancestors()[4] < 10
+    settings = replace(settings, rejuvenation=replace(ALWAYS, ancestors_below=0.5))
+    state, infos = run(steps, settings)
+    assert state.history.distinct_ancestors()[4] >= 25
+    for info in infos:
+        if info.rejuvenated:
+            assert 1 <= info.rejuvenated.effective_particles <= 50
+
+
+def test_is_due_when_few_descend_from_the_last_time_and_it_has_rested():
+    settings = worlds.settings(particles=10)
+    state = rbpf.init(worlds.START, settings)
+    often = RejuvenationSettings(ancestors_below=0.5, rest=3)
+    state.origins = np.repeat(np.arange(4, dtype=np.int32), [3, 3, 3, 1])
+    state.steps = 2
+    assert not rejuvenation.is_due(state, often)
+    state.steps = 3
+    assert rejuvenation.is_due(state, often)
+    assert not rejuvenation.is_due(state, RejuvenationSettings())
+    state.origins = np.repeat(np.arange(5, dtype=np.int32), 2)
+    assert not rejuvenation.is_due(state, often)
