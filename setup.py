@@ -16,6 +16,6 @@ setup(
         ("share/multi_robot_slam", ["package.xml"]),
         ("share/multi_robot_slam/config", sorted(glob("config/*.*"))),
         ("lib/sim_world", ["scripts/robots"]),
-        ("lib/multi_robot_slam", ["scripts/fusion", "scripts/record"]),
+        ("lib/multi_robot_slam", ["scripts/fusion", "scripts/record", "scripts/replay"]),
     ],
 )

@@ -1,6 +1,7 @@
 """The command `multi_robot_slam`: one function per verb."""
 
 import os
+from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime
 from functools import partial
@@ -18,9 +19,10 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from msg_defs import cli, settings
+from msg_defs import cli, settings, topics
 from msg_defs.errors import InputError
-from multi_robot_slam import evaluation, offline, plots, runs
+from multi_robot_slam import evaluation, evaluation_table, offline, plots, runs
+from multi_robot_slam.bags import BagReader
 from multi_robot_slam.config import SECTION, Config
 
 app = typer.Typer(
@@ -29,11 +31,21 @@ app = typer.Typer(
     add_completion=False,
     rich_markup_mode="markdown",
 )
+convert = typer.Typer(
+    help="Recordings of real robots, downloaded in their own formats -> bags for `run`.",
+    no_args_is_help=True,
+)
+app.add_typer(convert, name="convert")
 console = Console()
 messages = Console(stderr=True)
 
 Out = Annotated[Path | None, typer.Option(help="Folder to write; it must not exist yet.")]
 ScenarioName = Annotated[str, typer.Option(help="Scenario: a YAML file, or paper or calibrated.")]
+RunFolder = Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a run.")]
+BagOut = Annotated[Path, typer.Option(help="Bag to write; it must not exist yet.")]
+FrameRate = Annotated[
+    float, typer.Option(min=0.01, max=100, help="Frames of each robot in a second [Hz].")
+]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of all random numbers.")]
 
 
@@ -47,8 +59,8 @@ def demo(
 ) -> None:
     """Simulated robots, fusion and recorder as processes that talk over ROS 2; then the results.
 
-    Leaves a bag, the configuration, result.json, trajectories, the map and pictures in
-    runs/<time>, with a link runs/latest.
+    Leaves a bag, the configuration, result.json, trajectories, the map, pictures and report.html,
+    a page to explore them, in runs/<time>, with a link runs/latest.
     """
     from multi_robot_slam import demo
 
@@ -57,12 +69,13 @@ def demo(
     folder = _new_folder(out)
     (folder / "scenario.yaml").write_text(text)
     demo.record(folder, folder / "scenario.yaml", seed, speed)
-    evaluate(folder)
+    result = offline.load(folder)
+    _draw(result, _finish(result, folder), folder)
 
 
 @app.command()
 def run(
-    bag: Annotated[Path, typer.Argument(help="Bag folder or .mcap file.")],
+    bag: Annotated[Path, typer.Argument(help="Bag folder, .mcap or .db3 file.")],
     out: Out = None,
     scenario: Annotated[
         str | None, typer.Option(help="Scenario; default: the configuration in the bag.")
@@ -85,16 +98,74 @@ def run(
             on_step=lambda step: progress.update(task, completed=step.step),
             refine=refine,
         )
+    runs.write_estimates(result, folder)
     _finish(result, folder)
 
 
 @app.command()
-def evaluate(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of a live run.")],
+def evaluate(folder: RunFolder) -> None:
+    """Judge a run, live or offline, against the ground truth in its bag.
+
+    Prints tables and writes result.json, figures.csv, trajectories and pictures into DIR. Errors
+    are unaligned, aligned robot by robot, and aligned as a team; what has no truth is left out.
+    `evo_ape tum truth_NAME.tum trajectory_NAME.tum`, `--align` too, gives the same figures.
+    """
+    with messages.status(f"Reading {folder}"):
+        result = offline.load(folder)
+    _finish(result, folder)
+
+
+@app.command()
+def report(folder: RunFolder) -> None:
+    """Draw a run, live or offline, as a page to explore: DIR/report.html.
+
+    The building in three dimensions with the robots where they were at any time, errors and their
+    bounds, particles, associations, timing, configuration. One file that opens in any browser,
+    without network.
+    """
+    with messages.status(f"Reading {folder}"):
+        result = offline.load(folder)
+    _draw(result, evaluation.evaluate(result), folder)
+
+
+@app.command()
+def compare(
+    folders: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Folders of runs.")],
+    csv: Annotated[
+        Path | None, typer.Option("--csv", metavar="FILE", help="Also write all figures.")
+    ] = None,
 ) -> None:
-    """Judge a live run: DIR/bag against the ground truth in it. Prints and writes the results."""
-    bag = folder / "bag" if (folder / "bag").exists() else folder
-    _finish(offline.live(bag), folder)
+    """The figures of several runs side by side, as `evaluate` or `run` left them in result.json.
+
+    Says how much each differs from the first, and where recordings and settings do.
+    """
+    from multi_robot_slam import comparison
+
+    compared = comparison.compare(folders)
+    console.print(comparison.table(compared))
+    for line in comparison.notes(compared):
+        console.print(line, style="yellow", markup=False)
+    if csv is not None:
+        comparison.write(compared, csv)
+
+
+@app.command()
+def export(
+    folder: RunFolder,
+    to: Annotated[str, typer.Option("--to", help="tum, g2o or ply.")],
+    out: Annotated[Path, typer.Option(help="File to write; with tum, a folder.")],
+) -> None:
+    """Write map and paths of a run for other programs, and say what these cannot hold.
+
+    tum: every path, for evo. g2o: poses, odometry and landmarks in the plane, for optimisers. ply:
+    landmarks with their uncertainty, and paths as coloured points, for point cloud viewers.
+    """
+    from multi_robot_slam import exports
+
+    with messages.status(f"Reading {folder}"):
+        lines = exports.export(runs.load(folder), to, out)
+    for line in [*lines, f"Everything is in {out}"]:
+        console.print(line, markup=False)
 
 
 @app.command()
@@ -217,6 +288,71 @@ def bench(
     console.print(bench.report(rows))
 
 
+@convert.command()
+def mrclam(
+    folder: Annotated[
+        Path, typer.Argument(help="Folder with Barcodes.dat, Robot1_Odometry.dat, ...")
+    ],
+    out: BagOut,
+    rate: FrameRate = 1.0,
+) -> None:
+    """A recording of UTIAS MRCLAM: several robots, barcode landmarks, robots that see robots."""
+    from multi_robot_slam.convert import mrclam
+
+    _convert(mrclam.read, folder, out, rate)
+
+
+@convert.command()
+def utias(
+    file: Annotated[Path, typer.Argument(metavar="FILE.mat", help="dataset2.mat of pysteam.")],
+    out: BagOut,
+    rate: FrameRate = 1.0,
+) -> None:
+    """One planar robot with range and bearing, from the pysteam tutorials."""
+    from multi_robot_slam.convert import utias
+
+    _convert(utias.read, file, out, rate)
+
+
+def _convert(read: Callable, source: Path, out: Path, rate: float) -> None:
+    from multi_robot_slam.convert import bag
+
+    with messages.status(f"Converting {source}"):
+        counts = bag.write(read(source), out, rate)
+    console.print(bag.table(counts))
+    console.print(f"Now: multi_robot_slam run {out}", markup=False, soft_wrap=True)
+
+
+@app.command()
+def real(
+    folder: Annotated[Path, typer.Argument(help="Folder of a UTIAS MRCLAM recording.")],
+    seeds: Annotated[int, typer.Option(min=1, help="Runs of each set-up.")] = 10,
+    particles: Annotated[int, typer.Option(min=1, help="Number of particles M.")] = 500,
+    out: Out = None,
+) -> None:
+    """How well the filter locates real robots: together, with and without sightings, and alone.
+
+    Prints and writes mean and spread over seeds of real.csv, for both proposals, beside odometry
+    and least squares with the true identities.
+    """
+    from multi_robot_slam import real_robots, scheduling
+
+    target = _new_folder(out)
+    with _progress() as progress:
+        task = progress.add_task(f"{folder}", total=None)
+        rows = real_robots.study(
+            folder,
+            target,
+            seeds,
+            particles,
+            scheduling.local,
+            lambda done, total: progress.update(task, completed=done, total=total),
+        )
+    real_robots.write(rows, target)
+    typer.echo(real_robots.markdown(rows))
+    console.print(f"Everything is in {target}", markup=False)
+
+
 @app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
 def fusion(context: typer.Context) -> None:
     """ROS node: the team's odometry and observations in, poses and the landmark map out.
@@ -235,6 +371,16 @@ def record(context: typer.Context) -> None:
     cli.start_node("multi_robot_slam.recorder", context.args)
 
 
+@app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
+def replay(context: typer.Context) -> None:
+    """ROS node: publishes what was recorded in a bag, at its pace, with /clock.
+
+    By default all but what a fusion made of it, so that another fusion can run on it.
+    Parameters as for any node: multi_robot_slam replay --ros-args -p bag:=FOLDER -p rate:=5.0
+    """
+    cli.start_node("multi_robot_slam.replay", context.args)
+
+
 def _configuration(
     bag: Path, scenario: str | None, particles: int | None, seed: int | None
 ) -> Config:
@@ -242,7 +388,10 @@ def _configuration(
     if scenario is not None:
         config = settings.from_file(Config, settings.find_scenario(scenario), SECTION)
     elif recorded is None:
-        raise InputError(f"{bag} carries no configuration: name one with --scenario")
+        raise InputError(
+            f"{bag} carries no configuration on /{topics.FUSION_CONFIG.name}, its topics are "
+            f"{BagReader(bag).found()}: name one with --scenario"
+        )
     else:
         config = recorded
     values = settings.to_plain(config)
@@ -272,19 +421,30 @@ def _new_folder(out: Path | None) -> Path:
     return folder
 
 
-def _finish(result: runs.Run, folder: Path) -> None:
+def _finish(result: runs.Run, folder: Path) -> dict:
+    """Write and print what there is to say of a run; its figures."""
     for warning in result.warnings:
         messages.print(warning, style="yellow", markup=False)
     figures = evaluation.evaluate(result)
     runs.write(result, figures, folder)
     plots.save(result, folder)
-    console.print(evaluation.table(figures))
+    console.print(evaluation_table.table(figures))
     console.print(f"Everything is in {folder}", markup=False)
+    return figures
+
+
+def _draw(result: runs.Run, figures: dict, folder: Path) -> None:
+    from multi_robot_slam import report
+
+    with messages.status(f"Drawing {folder / report.FILE}"):
+        path = report.write(result, figures, folder)
+    console.print(path, markup=False, highlight=False, soft_wrap=True)
 
 
 def _progress() -> Progress:
     columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed} steps"))
-    return Progress(*columns, TimeElapsedColumn(), console=messages, transient=True)
+    elapsed, is_shown = TimeElapsedColumn(), messages.is_terminal
+    return Progress(*columns, elapsed, console=messages, transient=True, disable=not is_shown)
 
 
 def main() -> None:

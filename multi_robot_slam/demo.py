@@ -60,7 +60,9 @@ def record(folder: Path, scenario: Path, seed: int, speed: float) -> None:
             recorder = start(
                 "multi_robot_slam.recorder", f"out:={bag}", f"robots:=[{','.join(world.names)}]"
             )
-            fusion = start("multi_robot_slam.fusion", shared, f"stop_after_s:={idle_s}")
+            fusion = start(
+                "multi_robot_slam.fusion", shared, f"stop_after_s:={idle_s}", "subscribers:=1"
+            )
             robots = start("sim_world.robots", shared, *pace)
             failed = _wait(robots, [fusion, recorder], stops) or _wait(fusion, [recorder], stops)
         finally:

@@ -85,10 +85,11 @@ def test_no_message_is_missing_in_the_bag_or_in_the_steps(start, tmp_path):
         assert [len(f.landmarks) for f in filtered] == [len(f.positions) for f in seen]
 
     assert "team" in printed
+    assert printed.splitlines()[-1] == str(out / "report.html")
     assert "step 31, 3 robots, " in said
     result = json.loads((out / "result.json").read_text())
     assert (result["steps"], result["seed"], result["dropped"]) == (31, 7, {})
-    wanted = {"scenario.yaml", "config.yaml", "map.csv", "map.png", "errors.png"}
+    wanted = {"scenario.yaml", "config.yaml", "map.csv", "map.png", "errors.png", "report.html"}
     assert wanted <= {path.name for path in out.iterdir()}
     config = settings.from_file(Config, out / "config.yaml", SECTION)
     assert config.mount.up_m == 0.7

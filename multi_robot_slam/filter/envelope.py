@@ -79,11 +79,11 @@ class Factor:
         return result
 
     def solve_upper(self, right: np.ndarray) -> np.ndarray:
-        """L^-T of `right` (3 P, ...); the result's rows are in the order of the poses."""
+        """L^-T of `right` (3 P, ...), in its precision; the result's rows are by pose."""
         solved = right.copy()
         for rows, left, tile, inverse in reversed(self._by_tile()):
-            solved[rows] = inverse.T @ solved[rows]
-            solved[left] -= tile.T @ solved[rows]
+            solved[rows] = inverse.T.astype(right.dtype, copy=False) @ solved[rows]
+            solved[left] -= tile.T.astype(right.dtype, copy=False) @ solved[rows]
         result = np.empty_like(solved)
         result[self.envelope.rows] = solved
         return result

@@ -26,6 +26,9 @@ from multi_robot_slam.filter.motion import MotionSettings
 from multi_robot_slam.filter.smoothing_problem import problem_of
 from multi_robot_slam.filter.state import State, resample
 
+NEAR_ENOUGH = 0.1
+"""Distance from the optimum, in standard deviations, at which smoothing ends: the weights see to it."""
+
 
 @settings
 class RejuvenationSettings:
@@ -158,7 +161,7 @@ def _smooth(state, records, poses, identities, associations: Associations):
         problem = problem_of(
             records, identities, state.start_poses, associations.motion, associations.mount
         )
-        smoothed = smoothing.smooth(problem, poses, robust_above=associations.gate)
+        smoothed = smoothing.smooth(problem, poses, associations.gate, NEAR_ENOUGH)
         descriptors = state.landmarks.descriptors[state.landmarks.columns_of(problem.ids)]
         pairs = joining.joined(
             problem,

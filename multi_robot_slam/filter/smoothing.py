@@ -38,7 +38,10 @@ SHARPENING = 4.0
 """By how much the robust threshold comes down in each iteration."""
 
 SMALLEST_STEP = 1e-3
-"""The iteration ends when the step is shorter than this, in standard deviations of the solution."""
+"""Far below anything that could be measured."""
+
+NEAR = 1.0
+"""After a step shorter than this the same H serves for the next ones; they cost a fifth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +63,12 @@ class Smoothed:
 
 
 @one_thread
-def smooth(problem: Problem, poses: np.ndarray, robust_above: float = np.inf) -> Smoothed:
+def smooth(
+    problem: Problem,
+    poses: np.ndarray,
+    robust_above: float = np.inf,
+    smallest_step: float = SMALLEST_STEP,
+) -> Smoothed:
     """Gauss-Newton from `poses` (P, 3) to the most likely paths and landmarks.
 
     Parameters
@@ -69,6 +77,8 @@ def smooth(problem: Problem, poses: np.ndarray, robust_above: float = np.inf) ->
         less and less and in the end not at all: dynamic covariance scaling (Agarwal, Tipaldi,
         Spinello, Stachniss, Burgard 2013) of each. The threshold comes down from the largest D
         of all, so that a loop `poses` leaves open is closed before it could pass for an error.
+    smallest_step : the iteration ends when the step is shorter, in standard deviations of the
+        solution.
 
     """
     poses = np.array(poses, float)
@@ -76,20 +86,26 @@ def smooth(problem: Problem, poses: np.ndarray, robust_above: float = np.inf) ->
     weights = np.ones(len(problem.positions) + len(problem.sighted.seen))
     landmarks, squared = landmarks_and_distances(problem, poses, weights)
     threshold = max(robust_above, squared.max(initial=0))
-    iterations, converged = 0, False
+    iterations, length, converged = 0, np.inf, False
     while not converged and iterations < MAX_ITERATIONS:
         iterations += 1
         weights = _robust_weights(squared, _thresholds(problem, threshold))
         landmarks, squared = landmarks_and_distances(problem, poses, weights)
-        system, gradient = _system(problem, poses, landmarks, weights, envelope)
-        factor = factorise(envelope, system)
+        gradient = _gradient(problem, poses, landmarks, weights)
+        is_fresh = length > NEAR
+        if is_fresh:
+            factor = factorise(envelope, _system(problem, poses, landmarks, weights, envelope))
         step = -factor.solve_upper(factor.solve_lower(gradient))
-        length = np.sqrt(-gradient @ step)
-        converged = bool(length < SMALLEST_STEP and threshold <= robust_above)
+        before, length = length, np.sqrt(-gradient @ step)
+        converged = bool(length < smallest_step and threshold <= robust_above)
         poses, landmarks, squared = _line_search(
             problem, poses, step.reshape(-1, 3), weights, squared, threshold
         )
-        threshold = max(robust_above, threshold / SHARPENING)
+        if threshold > robust_above or length > before:
+            length = np.inf
+        threshold = max(robust_above, min(threshold / SHARPENING, squared.max(initial=0)))
+    if not is_fresh:
+        factor = factorise(envelope, _system(problem, poses, landmarks, weights, envelope))
     cost = _cost(problem, poses, squared, robust_above)
     return Smoothed(poses, landmarks, factor, weights, cost, iterations, converged)
 
@@ -208,29 +224,58 @@ def odometry_residuals(problem: Problem, poses: np.ndarray) -> np.ndarray:
     return residuals / problem.sigmas
 
 
+def _links(
+    problem: Problem, poses: np.ndarray, weights: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What ties two poses each, odometry and sightings, whitened.
+
+    Returns the poses (P + S, 2), -1 for a start pose, residuals (P + S, 3) and their derivatives
+    (P + S, 3, 6) by the two.
+    """
+    count = len(poses)
+    seen_from, seen, positions, information = problem.sighted
+    previous = np.column_stack([problem.previous, np.arange(count)])
+    ends = np.concatenate([previous, np.column_stack([seen_from, seen])])
+    residuals, jacobians = np.zeros((len(ends), 3)), np.zeros((len(ends), 3, 6))
+    residuals[:count] = odometry_residuals(problem, poses)
+    before = problem.poses_before(poses)
+    kernels.odometry_jacobians(before, problem.sigmas, poses, jacobians[:count])
+    information = information * weights[len(problem.positions) :, None]
+    kernels.link_sightings(
+        seen_from, seen, positions, information, poses, jacobians[count:], residuals[count:]
+    )
+    return ends, residuals, jacobians
+
+
+def _gradient(
+    problem: Problem, poses: np.ndarray, landmarks: np.ndarray, weights: np.ndarray
+) -> np.ndarray:
+    """(3 P,) of the cost, landmarks at their best."""
+    gradient = np.zeros(poses.size)
+    ends, residuals, jacobians = _links(problem, poses, weights)
+    kernels.link_gradient(ends, jacobians, residuals, gradient)
+    information = problem.information * weights[: len(problem.positions), None]
+    seen = (problem.starts, problem.seen_from, problem.positions, information)
+    kernels.observation_gradient(*seen, with_map(poses), landmarks, gradient)
+    return gradient
+
+
 def _system(
     problem: Problem,
     poses: np.ndarray,
     landmarks: np.ndarray,
     weights: np.ndarray,
     envelope: Envelope,
-) -> tuple[np.ndarray, np.ndarray]:
-    """The envelope of H, and the gradient (3 P,) in the order of the poses."""
-    size, count = poses.size, len(problem.positions)
-    system, gradient = np.zeros(envelope.size), np.zeros(size)
-    target = (np.append(3 * envelope.place, -1), envelope.origins, system, gradient)
-    before, residuals = problem.poses_before(poses), odometry_residuals(problem, poses)
-    kernels.add_odometry(problem.previous, before, residuals, problem.sigmas, poses, *target)
-    poses = with_map(poses)
-    seen_from, seen, positions, information = problem.sighted
-    information = information * weights[count:, None]
-    kernels.add_sightings(seen_from, seen, positions, information, poses, *target)
-    information = problem.information * weights[:count, None]
-    seen = (problem.starts, problem.seen_from, problem.positions, information)
-    kernels.add_observations(*seen, poses, landmarks, *target)
-    by_pose = np.empty(size)
-    by_pose[envelope.rows] = gradient
-    return system, by_pose
+) -> np.ndarray:
+    """The envelope of H."""
+    system = np.zeros(envelope.size)
+    target = (np.append(3 * envelope.place, -1), envelope.origins, system)
+    ends, _, jacobians = _links(problem, poses, weights)
+    kernels.add_links(ends, jacobians, *target)
+    information = problem.information * weights[: len(problem.positions), None]
+    seen = (problem.starts, problem.seen_from, information)
+    kernels.add_observations(*seen, with_map(poses), landmarks, *target)
+    return system
 
 
 def _line_search(

@@ -113,51 +113,56 @@ def lean(information, pose, q_x, q_y, result):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def add_odometry(previous, before, residuals, sigmas, poses, rows, origins, system, gradient):
-    """Add the odometry's part of H (lower triangle) and of the gradient."""
-    jacobian = np.empty((3, 6))
-    at = np.empty(6, np.int64)
-    for p in range(len(previous)):
+def odometry_jacobians(before, sigmas, poses, jacobians):
+    """Derivatives of the residuals by pose before and pose, (P, 3, 6), whitened."""
+    for p in range(len(jacobians)):
         c, s = np.cos(before[p, 2]), np.sin(before[p, 2])
         d_x, d_y = poses[p, 0] - before[p, 0], poses[p, 1] - before[p, 1]
-        jacobian[0] = (-c, -s, c * d_y - s * d_x, c, s, 0.0)
-        jacobian[1] = (s, -c, -c * d_x - s * d_y, -s, c, 0.0)
-        jacobian[2] = (0.0, 0.0, -1.0, 0.0, 0.0, 1.0)
+        jacobians[p, 0] = (-c, -s, c * d_y - s * d_x, c, s, 0.0)
+        jacobians[p, 1] = (s, -c, -c * d_x - s * d_y, -s, c, 0.0)
+        jacobians[p, 2] = (0.0, 0.0, -1.0, 0.0, 0.0, 1.0)
         for i in range(3):
-            jacobian[i] /= sigmas[p, i]
-            at[i], at[3 + i] = rows[previous[p]] + i, rows[p] + i
-        first = 3 if previous[p] < 0 else 0
-        add_squares(jacobian, residuals[p], at, first, origins, system, gradient)
+            jacobians[p, i] /= sigmas[p, i]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def add_squares(jacobian, residual, at, first, origins, system, gradient):
-    """Add J^T J (lower triangle) and J^T r for the columns from `first` on, at rows `at`."""
-    for i in range(first, len(at)):
-        gradient[at[i]] += np.sum(jacobian[:, i] * residual)
-        for j in range(first, len(at)):
-            if at[j] <= at[i]:
-                system[origins[at[i]] + at[j]] += np.sum(jacobian[:, i] * jacobian[:, j])
+def link_sightings(seen_from, seen, positions, information, poses, jacobians, residuals):
+    """Residuals (S, 3), and their derivatives (S, 3, 6) by pose that sees and pose seen, whitened.
 
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def add_sightings(seen_from, seen, positions, information, poses, rows, origins, system, gradient):
-    """Add the sightings' part of H (lower triangle) and of the gradient, in `seen_from`'s frame."""
-    jacobian = np.empty((2, 6))
-    residual = np.empty(2)
-    at = np.empty(6, np.int64)
+    In the frame of the robot that sees; the third row stays zero.
+    """
     for o in range(len(seen)):
         pose, other = poses[seen_from[o]], poses[seen[o]]
         c, s = np.cos(pose[2]), np.sin(pose[2])
         q_x, q_y = other[0] - pose[0], other[1] - pose[1]
         x, y = c * q_x + s * q_y, c * q_y - s * q_x
-        jacobian[0] = (-c, -s, y, c, s, 0.0)
-        jacobian[1] = (s, -c, -x, -s, c, 0.0)
-        residual[0], residual[1] = x - positions[o, 0], y - positions[o, 1]
-        whiten(information[o], jacobian, residual)
-        for i in range(3):
-            at[i], at[3 + i] = rows[seen_from[o]] + i, rows[seen[o]] + i
-        add_squares(jacobian, residual, at, 0, origins, system, gradient)
+        jacobians[o, 0] = (-c, -s, y, c, s, 0.0)
+        jacobians[o, 1] = (s, -c, -x, -s, c, 0.0)
+        residuals[o, 0], residuals[o, 1] = x - positions[o, 0], y - positions[o, 1]
+        whiten(information[o], jacobians[o], residuals[o])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def link_gradient(ends, jacobians, residuals, gradient):
+    """Add J^T r of residuals between the two poses `ends` (L, 2); below 0: no pose."""
+    for i in range(len(ends)):
+        for j in range(6):
+            if ends[i, j // 3] >= 0:
+                at = 3 * ends[i, j // 3] + j % 3
+                gradient[at] += np.sum(jacobians[i, :, j] * residuals[i])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_links(ends, jacobians, rows, origins, system):
+    """Add J^T J (lower triangle) of residuals between the two poses `ends` (L, 2)."""
+    for link in range(len(ends)):
+        jacobian = jacobians[link]
+        for i in range(0 if ends[link, 0] >= 0 else 3, 6):
+            row = rows[ends[link, i // 3]] + i % 3
+            for j in range(0 if ends[link, 0] >= 0 else 3, 6):
+                column = rows[ends[link, j // 3]] + j % 3
+                if column <= row:
+                    system[origins[row] + column] += np.sum(jacobian[:, i] * jacobian[:, j])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -173,11 +178,23 @@ def whiten(information, jacobian, residual):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def add_observations(
-    starts, seen_from, positions, information, poses, landmarks, rows, origins, system, gradient
-):
-    """Add the observations' part of H (lower triangle) and of the gradient, landmarks out."""
-    roots = np.empty((len(positions), 3, 3))
+def observation_gradient(starts, seen_from, positions, information, poses, landmarks, gradient):
+    """Add J^T W e of the observations."""
+    own = np.empty((3, 3))
+    for n in range(len(landmarks)):
+        for o in range(starts[n], starts[n + 1]):
+            pose, row = poses[seen_from[o]], 3 * seen_from[o]
+            if row >= 0:
+                q_x, q_y, e_x, e_y, e_z = difference(pose, landmarks[n], positions[o])
+                lean(information[o], pose, q_x, q_y, own)
+                for i in range(3):
+                    gradient[row + i] += own[i, 0] * e_x + own[i, 1] * e_y + own[i, 2] * e_z
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_observations(starts, seen_from, information, poses, landmarks, rows, origins, system):
+    """Add the observations' part of H (lower triangle), landmarks out."""
+    roots = np.empty((len(seen_from), 3, 3))
     own = np.empty((3, 3))
     for n in range(len(landmarks)):
         root = covariance_root(landmarks[n])
@@ -186,10 +203,9 @@ def add_observations(
             first += 1
         for o in range(first, starts[n + 1]):
             pose, row = poses[seen_from[o]], rows[seen_from[o]]
-            q_x, q_y, e_x, e_y, e_z = difference(pose, landmarks[n], positions[o])
+            q_x, q_y = landmarks[n, 0] - pose[0], landmarks[n, 1] - pose[1]
             lean(information[o], pose, q_x, q_y, own)
             for i in range(3):
-                gradient[row + i] += own[i, 0] * e_x + own[i, 1] * e_y + own[i, 2] * e_z
                 at = origins[row + i] + row
                 system[at] -= own[i, 0]
                 system[at + 1] -= own[i, 1]
