@@ -254,3 +254,29 @@ def test_is_due_when_few_descend_from_the_last_time_and_it_has_rested():
     assert not rejuvenation.is_due(state, RejuvenationSettings())
     state.origins = np.repeat(np.arange(5, dtype=np.int32), 2)
     assert not rejuvenation.is_due(state, often)
+
+
+def test_settled_poses_stay_and_the_rest_is_as_good_as_with_all_of_them():
+    steps = worlds.drive(8, steps=40)
+    settings = worlds.settings(particles=100, proposal="informed", resample_below=0.5)
+    settings = replace(settings, rejuvenation=replace(ALWAYS, ancestors_below=0.5))
+    narrow = replace(settings, rejuvenation=replace(settings.rejuvenation, window=20))
+    _, whole = run(steps, settings)
+    state, few = run(steps, narrow)
+    records = state.history.records
+    assert state.settled.count >= len(records) - 20 - 3 * state.steps + 3 * state.origin_step
+    assert records[state.settled.count].step > records[state.settled.count - 1].step
+    for a, b in zip(whole, few, strict=True):
+        for (mean, covariance), (other, _) in zip(a.moments, b.moments, strict=True):
+            # The random numbers differ too.
+            assert (np.abs(mean - other) < 4 * np.sqrt(np.diag(covariance)) + 0.02).all()
+    counted = sum((record.matches[:, row] >= 0).sum() for record, row in state.history.lineage(0))
+    assert counted == 40 * 3 * 5
+
+
+@pytest.mark.parametrize("pairs", [[], [[1, 5]], [[1, 5], [0, 7]]])
+def test_heirs_replace_ids_through_several_joins(pairs):
+    heirs = rejuvenation.Heirs().and_then(np.array(pairs, int).reshape(-1, 2))
+    heirs = heirs.and_then(np.array([[0, 1]]))
+    expected = np.array([0, 0, 2, 0 if [1, 5] in pairs else 5, 0 if [0, 7] in pairs else 7])
+    assert heirs.of(np.array([0, 1, 2, 5, 7])).tolist() == expected.tolist()

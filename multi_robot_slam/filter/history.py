@@ -8,6 +8,7 @@ the particle filter, 2015).
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -120,20 +121,22 @@ class History:
         self._leaves = self._leaves[ancestors]
         self.signatures = self.signatures[ancestors]
 
-    def rewrite(self, pasts: Sequence[Past]) -> None:
-        """Give the members of each group new pasts; other particles keep theirs."""
-        rows = [rows for _, rows in self.lineage(slice(None))][::-1]
+    def rewrite(self, pasts: Sequence[Past], first: int = 0) -> None:
+        """Give the members of each group new pasts from record `first` on; others keep theirs."""
+        count = len(self.records) - first
+        rows = [rows for _, rows in islice(self.lineage(slice(None)), count)][::-1]
         alone = np.ones(len(self._leaves), bool)
         for group in pasts:
             alone[group.members] = False
             self.signatures[group.members] = group.signature()
-        for p, record in enumerate(self.records):
+        before = self.records[first].parents[rows[0]] if count else self._leaves
+        for p, record in enumerate(self.records[first:]):
             record.poses = record.poses[:, rows[p]]
             for group in pasts:
                 record.poses[:, group.members] = group.paths[p]
             record.matches = _rewritten(record.matches, rows[p], pasts, p, alone.any())
-            record.parents = np.arange(len(self._leaves), dtype=np.int32)
-        self._leaves = np.arange(len(self._leaves), dtype=np.int32)
+            record.parents = np.arange(len(self._leaves), dtype=np.int32) if p else before
+        self._leaves = np.arange(len(self._leaves), dtype=np.int32) if count else before
         self._pruned = len(self.records)
 
     def lineage(self, particle: int | slice):

@@ -12,8 +12,13 @@ history A that enough particles share:
 
 Every particle has a past of its own again, and the filter goes on. Particles whose history too few
 share stay as they are: a smoothing for each would cost more than they weigh.
+
+Where a run grows beyond a window, its older poses settle: they stay where they are in each path,
+and what they say of landmarks is kept once for all, as seen from the optimum. So the cost is
+bounded; how the oldest part lies in `map` is then taken for certain.
 """
 
+from itertools import islice
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -23,11 +28,15 @@ from msg_defs.types import CameraMount, settings
 from multi_robot_slam.filter import joining, resampling, smoothing, whole_paths
 from multi_robot_slam.filter.history import Past, Record
 from multi_robot_slam.filter.motion import MotionSettings
-from multi_robot_slam.filter.smoothing_problem import problem_of
-from multi_robot_slam.filter.state import State, resample
+from multi_robot_slam.filter.smoothing import Smoothed
+from multi_robot_slam.filter.smoothing_problem import Problem, problem_of
+from multi_robot_slam.filter.state import Settled, State, resample
 
 NEAR_ENOUGH = 0.1
-"""Distance from the optimum, in standard deviations, at which smoothing ends: the weights see to it."""
+"""Distance from the optimum, in standard deviations, at which smoothing ends.
+
+The importance weights are exact around any centre.
+"""
 
 
 @settings
@@ -41,6 +50,9 @@ class RejuvenationSettings:
         "time; 0 is never",
     ] = 0.0
     rest: Annotated[int, Ge(1), "fewest steps between two rejuvenations"] = 1
+    window: Annotated[
+        int, Ge(1), "poses of all robots that are drawn anew; older ones stay as they are"
+    ] = 600
     share: Annotated[
         float,
         Interval(gt=0, le=1),
@@ -57,6 +69,30 @@ class Associations(NamedTuple):
     motion: MotionSettings
     mount: CameraMount
     threads: int
+
+
+class Heirs:
+    """Landmarks that were joined: which id each of them goes by now."""
+
+    def __init__(self, old: np.ndarray | None = None, new: np.ndarray | None = None):
+        self._old = np.empty(0, np.int64) if old is None else old
+        self._new = np.empty(0, np.int64) if new is None else new
+
+    def of(self, ids: np.ndarray) -> np.ndarray:
+        """`ids`, any shape, each replaced by its heir where it has one."""
+        if not len(self._old):
+            return ids
+        places = np.searchsorted(self._old, ids).clip(max=len(self._old) - 1)
+        return np.where(self._old[places] == ids, self._new[places], ids).astype(ids.dtype)
+
+    def and_then(self, pairs: np.ndarray) -> "Heirs":
+        """Also pairs[:, 1] are replaced by pairs[:, 0] (A, 2)."""
+        order = np.argsort(pairs[:, 1])
+        later = Heirs(pairs[order, 1], pairs[order, 0])
+        old = np.append(self._old, pairs[:, 1])
+        new = np.append(later.of(self._new), pairs[:, 0])
+        order = np.argsort(old)
+        return Heirs(old[order], new[order])
 
 
 class Rejuvenated(NamedTuple):
@@ -90,31 +126,52 @@ def rejuvenate(
     weights = resampling.normalise(state.log_weights)
     ancestors = resampling.systematic(weights, rng.random())
     resample(state, ancestors)
-    signatures, places = np.unique(state.history.signatures, return_inverse=True)
-    groups = [np.flatnonzero(places == g) for g in range(len(signatures))]
+    groups = _groups(state)
     shared = [g for g in groups if len(g) >= settings.share * len(weights)]
-    for group in groups:
-        of_group = state.log_weight_sum[group]
-        state.log_weight_sum[group] = np.log(len(group)) + of_group - of_group.max()
-    drawn = [_draw(state, group, associations, rng) for group in shared]
-    state.history.rewrite([group.past for group in drawn])
+    alike = _alike(state, associations.descriptor_gate)
+    drawn = [_draw(state, group, alike, associations, rng) for group in shared]
+    state.history.rewrite([group.past for group in drawn], state.settled.count)
     for group in drawn:
-        _settle(state, group, associations)
+        _go_on(state, group, associations)
+    if drawn:
+        _settle(state, drawn[0], settings.window)
     state.origins = np.arange(len(weights), dtype=np.int32)
     state.origin_step = state.steps
-    landmarks = state.landmarks
-    landmarks.bound(landmarks.alive(), associations.gate)
+    state.landmarks.bound(state.landmarks.alive(), associations.gate)
     fresh = np.concatenate([*shared, np.empty(0, int)]).astype(int)
     effective = resampling.effective_sample_size(resampling.normalise(state.log_weights[fresh]))
     return Rejuvenated(ancestors, len(shared), len(weights) - len(fresh), effective)
+
+
+def _groups(state: State) -> list[np.ndarray]:
+    """The particles of each association history, the largest group first.
+
+    So that the best particle (17) is one of the largest group, each group's sums of weights begin
+    at the logarithm of its size.
+    """
+    signatures, places = np.unique(state.history.signatures, return_inverse=True)
+    groups = [np.flatnonzero(places == g) for g in range(len(signatures))]
+    for group in groups:
+        of_group = state.log_weight_sum[group]
+        state.log_weight_sum[group] = np.log(len(group)) + of_group - of_group.max()
+    return sorted(groups, key=len, reverse=True)
+
+
+def _alike(state: State, threshold: float) -> np.ndarray:
+    """(A, 2) ids of landmarks that look alike, the smaller first."""
+    columns = state.landmarks.alive()
+    columns = columns[np.argsort(state.landmarks.ids[columns])]
+    pairs = joining.alike(state.landmarks.descriptors[columns], threshold)
+    return state.landmarks.ids[columns][pairs]
 
 
 class Drawn(NamedTuple):
     """What the particles of one association history go on from."""
 
     past: Past
-    ids: np.ndarray
-    """(N,) int32: id of each landmark."""
+    problem: Problem
+    smoothed: Smoothed
+    heirs: Heirs
     planes: np.ndarray
     """(N, 9, n): its mean and covariance, as in `Landmarks`."""
     log_weights: np.ndarray
@@ -124,11 +181,17 @@ class Drawn(NamedTuple):
 
 
 def _draw(
-    state: State, members: np.ndarray, associations: Associations, rng: np.random.Generator
+    state: State,
+    members: np.ndarray,
+    alike: np.ndarray,
+    associations: Associations,
+    rng: np.random.Generator,
 ) -> Drawn:
     """Smooth the history `members` share, and draw a path for each; the first is the optimum."""
     records, poses, identities = _past(state, members)
-    problem, smoothed, identities = _smooth(state, records, poses, identities, associations)
+    problem, smoothed, heirs = _smooth(
+        state.settled, records, poses, identities, alike, associations
+    )
     normals = rng.standard_normal((3 * len(records), len(members)))
     normals[:, 0] = 0
     paths = whole_paths.draw(smoothed, normals)
@@ -139,8 +202,10 @@ def _draw(
     log_weights -= log_weights.max()
     log_weights -= np.log(np.exp(log_weights).mean())
     return Drawn(
-        Past(members, paths, identities),
-        problem.ids.astype(np.int32),
+        Past(members, paths, [heirs.of(own) for own in identities]),
+        problem,
+        smoothed,
+        heirs,
         planes,
         log_weights,
         densities - densities[0],
@@ -148,50 +213,68 @@ def _draw(
 
 
 def _past(state: State, members: np.ndarray) -> tuple[list[Record], np.ndarray, list[np.ndarray]]:
-    """Records, the mean of the members' paths (P, 3), and their common identities."""
-    lineage = list(state.history.lineage(members))[::-1]
+    """Records not settled, the mean of the members' paths (P, 3), their common identities."""
+    count = len(state.history.records) - state.settled.count
+    lineage = list(islice(state.history.lineage(members), count))[::-1]
     records = [record for record, _ in lineage]
     poses = np.array([record.poses[:, rows].mean(axis=1) for record, rows in lineage])
     return records, poses, [record.matches[:, rows[0]] for record, rows in lineage]
 
 
-def _smooth(state, records, poses, identities, associations: Associations):
+def _smooth(
+    settled: Settled,
+    records: list[Record],
+    poses: np.ndarray,
+    identities: list[np.ndarray],
+    alike: np.ndarray,
+    associations: Associations,
+) -> tuple[Problem, Smoothed, Heirs]:
     """Smooth, join landmarks that turn out to be one, repeat until none do."""
+    heirs = Heirs()
     while True:
         problem = problem_of(
-            records, identities, state.start_poses, associations.motion, associations.mount
+            records,
+            [heirs.of(own) for own in identities],
+            settled.start_poses,
+            associations.motion,
+            associations.mount,
+            settled.known._replace(ids=heirs.of(settled.known.ids)),
         )
         smoothed = smoothing.smooth(problem, poses, associations.gate, NEAR_ENOUGH)
-        descriptors = state.landmarks.descriptors[state.landmarks.columns_of(problem.ids)]
-        pairs = joining.joined(
+        pairs = heirs.of(alike)
+        pairs = pairs[np.isin(pairs, problem.ids).all(axis=1) & (pairs[:, 0] != pairs[:, 1])]
+        rows = joining.joined(
             problem,
             smoothed,
-            joining.alike(descriptors, associations.descriptor_gate),
+            np.searchsorted(problem.ids, pairs),
             associations.gate,
             associations.exclusive,
         )
-        if not len(pairs):
-            return problem, smoothed, identities
+        if not len(rows):
+            return problem, smoothed, heirs
         poses = smoothed.poses
-        heirs = problem.ids.copy()
-        heirs[pairs[:, 1]] = problem.ids[pairs[:, 0]]
-        identities = [_inherited(own, problem.ids, heirs) for own in identities]
+        heirs = heirs.and_then(problem.ids[rows])
 
 
-def _inherited(identities: np.ndarray, ids: np.ndarray, heirs: np.ndarray) -> np.ndarray:
-    """Each of `identities` (B,) among `ids` (N,) replaced by its heir; -1 stays."""
-    known = identities >= 0
-    result = identities.copy()
-    result[known] = heirs[np.searchsorted(ids, identities[known])]
-    return result
-
-
-def _settle(state: State, drawn: Drawn, associations: Associations) -> None:
+def _go_on(state: State, drawn: Drawn, associations: Associations) -> None:
     """The members go on from their new pasts."""
     members, paths = drawn.past.members, drawn.past.paths
-    last = {record.robot: p for p, record in enumerate(state.history.records)}
+    last = {int(robot): p for p, robot in enumerate(drawn.problem.robots)}
     for robot, p in last.items():
         state.poses[robot][:, members] = paths[p]
-    state.landmarks.rewrite(members, drawn.ids, drawn.planes, associations.threads)
+    ids = drawn.problem.ids.astype(np.int32)
+    state.landmarks.rewrite(members, ids, drawn.planes, associations.threads)
     state.log_weights[members] = drawn.log_weights
     state.log_weight_sum[members] = np.log(len(members)) + drawn.log_densities
+
+
+def _settle(state: State, drawn: Drawn, window: int) -> None:
+    """Let the poses before the window settle at the optimum of the largest group: whole steps."""
+    settled, records = state.settled, state.history.records
+    first = max(len(records) - window, settled.count)
+    while settled.count < first and records[first].step == records[first - 1].step:
+        first -= 1
+    for record in records[: settled.count]:
+        record.matches = drawn.heirs.of(record.matches)
+    start_poses, known = smoothing.settle(drawn.problem, drawn.smoothed, first - settled.count)
+    state.settled = Settled(first, start_poses, known)

@@ -1,11 +1,24 @@
 """What the particle filter carries from step to step."""
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from multi_robot_slam.filter.history import History
 from multi_robot_slam.filter.landmarks import Landmarks
+from multi_robot_slam.filter.smoothing_problem import Known
+
+
+class Settled(NamedTuple):
+    """The oldest part of the history, which rejuvenation leaves as it is."""
+
+    count: int
+    """Records of the history that it has."""
+    start_poses: np.ndarray
+    """(K, 3) float64: x, y [m], yaw [rad] of each robot at its end, in `map`."""
+    known: Known
+    """What it says of landmarks."""
 
 
 @dataclass
@@ -27,8 +40,10 @@ class State:
     """(M,) int32: the particle right after the last rejuvenation that each descends from."""
     origin_step: int = 0
     """The step of the last rejuvenation."""
+    settled: Settled = field(init=False)
 
     def __post_init__(self) -> None:
+        self.settled = Settled(0, self.start_poses, Known.nothing())
         self.origins = np.arange(len(self.log_weights), dtype=np.int32)
 
 
