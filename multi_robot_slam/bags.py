@@ -1,4 +1,4 @@
-"""Bags: rosbag2's folders of MCAP files, written and read without ROS.
+"""Bags: rosbag2's folders, written as MCAP and read as whatever rosbag2 writes, without ROS.
 
 A bag is complete once it is closed, but what was flushed before survives a kill: the reader takes
 everything up to the point where a file breaks off, and says so.
@@ -8,21 +8,28 @@ import heapq
 import os
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
+from functools import cached_property
 from operator import attrgetter
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import NamedTuple
 
 import yaml
-from mcap.reader import SeekingReader
-from mcap.records import Channel, Message, Schema
-from mcap.stream_reader import StreamReader
 from mcap.well_known import MessageEncoding, Profile, SchemaEncoding
 from mcap.writer import CompressionType, Writer
 
 from msg_defs.errors import InputError
 from msg_defs.topics import LATCHED, SENSOR, STREAM, Topic
 from msg_defs.wire import message_schema
+from multi_robot_slam.bag_files import (
+    MCAP_MAGIC,
+    SQLITE_MAGIC,
+    McapFile,
+    Record,
+    RosbagsFile,
+    Summary,
+    merged,
+)
 
 METADATA = "metadata.yaml"
 METADATA_VERSION = 9
@@ -31,26 +38,12 @@ METADATA_VERSION = 9
 FLUSH_PERIOD_S = 0.1
 CHUNK_BYTES = 64 * 1024
 
-_MAGIC = b"\x89MCAP0\r\n"
-
 _FOREVER = {"sec": 9223372036, "nsec": 854775807}
 _QOS = {
     STREAM: {"depth": 1000, "reliability": "reliable", "durability": "volatile"},
     LATCHED: {"depth": 1, "reliability": "reliable", "durability": "transient_local"},
     SENSOR: {"depth": 1, "reliability": "best_effort", "durability": "volatile"},
 }
-
-
-class Record(NamedTuple):
-    """One message of a bag."""
-
-    topic: str
-    """Absolute, as recorded: `/robot_1/odom`."""
-    type: str
-    stamp_ns: int
-    """When it was recorded."""
-    data: bytes
-    """CDR."""
 
 
 def absolute(name: str) -> str:
@@ -192,136 +185,133 @@ def _qos(topic: Topic) -> dict:
 
 
 class BagReader:
-    """The messages of a bag folder or a lone `.mcap` file, by time, then in the order written.
+    """The messages of a bag, by time, then in the order written.
 
-    What is missing or broken without making the rest useless is said in `warnings`.
+    A bag is a folder, with or without metadata, or a lone file: MCAP, sqlite3, or compressed by
+    rosbag2. What is missing or broken without making the rest useless is said in `warnings`.
     """
 
     def __init__(self, path: Path) -> None:
-        path = Path(path)
-        if not path.exists():
+        self.path = Path(path)
+        if not self.path.exists():
             raise InputError(f"no bag {path}: there is no such file or folder")
-        self._files = [_File(file) for file in _mcap_files(path)]
-        self.warnings = [
-            f"{file.path} breaks off: its recorder was killed, or it was cut; "
-            "read up to there, not beyond"
-            for file in self._files
-            if not file.is_complete
-        ]
-        if path.is_dir():
-            self.warnings += _compare(path / METADATA, self._files)
-
-    def __iter__(self) -> Iterator[Record]:
-        return heapq.merge(*self._files, key=attrgetter("stamp_ns"))
-
-
-def _mcap_files(path: Path) -> list[Path]:
-    if not path.is_dir():
-        return [path]
-    files = sorted(path.glob("*.mcap"))
-    if not files:
-        raise InputError(f"{path} is no bag: there is no .mcap file in it")
-    return files
-
-
-class _File:
-    """One MCAP file."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
+        self._metadata = _read_metadata(self.path / METADATA)
         try:
-            with path.open("rb") as stream:
-                start = stream.read(len(_MAGIC))
-                size = stream.seek(0, os.SEEK_END)
-                stream.seek(max(0, size - len(_MAGIC)))
-                end = stream.read()
+            self._files = _files(self.path, self._metadata)
         except OSError as error:
-            raise InputError(f"cannot read the bag {path}: {error.strerror}") from None
-        if not size:
-            raise InputError(f"{path} is empty; record it again")
-        if start != _MAGIC:
-            raise InputError(f"{path} is no MCAP file; name a bag folder or an .mcap file")
-        self.is_complete = size > len(_MAGIC) and end == _MAGIC
+            raise InputError(f"cannot read the bag {self.path}: {error.strerror}") from None
 
     def __iter__(self) -> Iterator[Record]:
-        with self.path.open("rb") as stream:
-            if self.is_complete:
-                yield from self._checked(stream)
-            else:
-                yield from sorted(_salvage(stream), key=attrgetter("stamp_ns"))
+        return self.records()
 
-    def message_count(self) -> int | None:
-        """As the file's own summary says it; None when there is none."""
-        with self.path.open("rb") as stream:
-            try:
-                summary = SeekingReader(stream).get_summary()
-            except Exception as error:
-                raise self._damaged(error) from None
-        return summary and summary.statistics and summary.statistics.message_count
+    def records(self, names: Collection[str] | None = None) -> Iterator[Record]:
+        """Those of the topics `names`, absolute; by default all."""
+        files = (file.records(names) for file in self._files)
+        return heapq.merge(*files, key=attrgetter("stamp_ns"))
 
-    def _checked(self, stream: IO[bytes]) -> Iterator[Record]:
-        messages = SeekingReader(stream, validate_crcs=True).iter_messages()
-        while True:
-            try:
-                record = _record(*next(messages))
-            except StopIteration:
-                return
-            except Exception as error:
-                raise self._damaged(error) from None
-            yield record
+    def only(self, wanted: Collection[Topic]) -> Iterator[tuple[Topic, bytes]]:
+        """The messages of the topics that are `wanted`, which must have the recorded types."""
+        self.require(wanted)
+        by_name = {absolute(topic.name): topic for topic in wanted}
+        for record in self.records(by_name.keys()):
+            yield by_name[record.topic], record.data
 
-    def _damaged(self, error: Exception) -> InputError:
-        """MCAP's reader raises anything from `struct.error` to `KeyError` on damaged bytes."""
-        return InputError(
-            f"{self.path} is damaged: {type(error).__name__}: {error}; copy or record it again"
-        )
+    @cached_property
+    def summary(self) -> Summary:
+        """Topics, number of messages and time span of the whole bag."""
+        return merged([file.summary for file in self._files])
 
+    @cached_property
+    def warnings(self) -> list[str]:
+        """Where it breaks off, and what its metadata and its files disagree about."""
+        losses = [file.loss for file in self._files if file.loss]
+        is_read_by_its_files = all(file.path.parent == self.path for file in self._files)
+        if not is_read_by_its_files:
+            return losses
+        path = self.path / METADATA
+        return [*losses, *_disagreements(path, self._metadata, self._files)]
 
-def _salvage(stream: IO[bytes]) -> Iterator[Record]:
-    """Every whole message up to where the file breaks off."""
-    schemas: dict[int, Schema] = {}
-    channels: dict[int, Channel] = {}
-    size = os.fstat(stream.fileno()).st_size
-    records = StreamReader(stream, record_size_limit=size, validate_crcs=True).records
-    while True:
-        try:
-            record = next(records)
-        except StopIteration:
-            return
-        except Exception:  # anything can come of half a record
-            return
-        match record:
-            case Schema():
-                schemas[record.id] = record
-            case Channel():
-                channels[record.id] = record
-            case Message():
-                channel = channels[record.channel_id]
-                yield _record(schemas.get(channel.schema_id), channel, record)
+    def require(self, wanted: Collection[Topic]) -> None:
+        """`InputError` when nothing was recorded, or another type on a topic that is `wanted`."""
+        if not self.summary.count:
+            raise InputError(f"{self.path} holds no messages; record it again")
+        types = {absolute(topic.name): topic.type for topic in wanted}
+        for topic in sorted(self.summary.topics):
+            expected = types.get(topic.name, topic.type)
+            if topic.type != expected:
+                raise InputError(
+                    f"{self.path}: {topic.name} was recorded as {topic.type or 'no type'}, "
+                    f"expected is {expected}; publish it as that, or remap the topic"
+                )
+
+    def found(self) -> str:
+        """The names of its topics, for a complaint."""
+        return ", ".join(sorted({topic.name for topic in self.summary.topics})) or "none"
 
 
-def _record(schema: Schema | None, channel: Channel, message: Message) -> Record:
-    return Record(channel.topic, schema.name if schema else "", message.log_time, message.data)
+class _Metadata(NamedTuple):
+    """What the metadata of a bag folder promise."""
+
+    problem: str = ""
+    """Why they are unusable; empty when they are not."""
+    listed: frozenset[str] = frozenset()
+    """Names of the files."""
+    count: int = 0
+    """Messages."""
+    is_compressed: bool = False
+    """By rosbag2, as whole files or message by message."""
 
 
-def _compare(path: Path, files: list[_File]) -> list[str]:
-    """What the metadata at `path` and the `files` beside it disagree about."""
+def _read_metadata(path: Path) -> _Metadata:
     try:
         information = yaml.safe_load(path.read_text())["rosbag2_bagfile_information"]
-        listed = {Path(str(name)).name for name in information["relative_file_paths"]}
-        promised = information["message_count"]
-        compression = str(information.get("compression_mode") or "none")
-    except (OSError, yaml.YAMLError, UnicodeDecodeError, LookupError, TypeError) as error:
-        return [f"{path} is unusable ({type(error).__name__}); read the .mcap files without it"]
-    if compression.lower() != "none":
-        raise InputError(
-            f"{path}: compression_mode '{compression}' is not read here; convert the bag to one "
-            "without, which may be compressed inside its MCAP file"
+        return _Metadata(
+            listed=frozenset(Path(str(name)).name for name in information["relative_file_paths"]),
+            count=int(information["message_count"]),
+            is_compressed=str(information.get("compression_mode") or "none").lower() != "none",
         )
+    except (OSError, yaml.YAMLError, ValueError, LookupError, TypeError) as error:
+        return _Metadata(f"{path} is unusable ({type(error).__name__}); read the files without it")
+
+
+def _files(path: Path, metadata: _Metadata) -> list[McapFile | RosbagsFile]:
+    if not path.is_dir():
+        return [_file(path)]
+    if metadata.is_compressed or any(path.glob("*.zstd")):
+        return [RosbagsFile(path)]
+    files = sorted([*path.glob("*.mcap"), *path.glob("*.db3")])
+    if not files:
+        raise InputError(f"{path} is no bag: there is no .mcap file in it, and no .db3 file")
+    return [_file(file) for file in files]
+
+
+def _file(path: Path) -> McapFile | RosbagsFile:
+    with path.open("rb") as stream:
+        start = stream.read(len(SQLITE_MAGIC))
+    if not start:
+        raise InputError(f"{path} is empty; record it again")
+    if start.startswith(MCAP_MAGIC):
+        return McapFile(path)
+    if start == SQLITE_MAGIC and path.suffix == ".db3":
+        return RosbagsFile(path)
+    raise InputError(
+        f"{path} is no MCAP file and no sqlite3 .db3 file; name a bag folder or one of these"
+    )
+
+
+def _disagreements(
+    path: Path, metadata: _Metadata, files: list[McapFile | RosbagsFile]
+) -> Iterator[str]:
+    """Between the metadata at `path` and the `files` beside it."""
+    if metadata.problem:
+        yield metadata.problem
+        return
     found = {file.path.name for file in files}
-    warnings = [f"{path} lists {name}, which is missing" for name in sorted(listed - found)]
-    warnings += [f"{path} does not list {name}; read it too" for name in sorted(found - listed)]
-    counts = [file.message_count() for file in files if file.is_complete]
-    if len(counts) == len(files) and None not in counts and sum(counts) != promised:
-        warnings.append(f"{path} promises {promised} messages, the files hold {sum(counts)}")
-    return warnings
+    for name in sorted(metadata.listed - found):
+        yield f"{path} lists {name}, which is missing"
+    for name in sorted(found - metadata.listed):
+        yield f"{path} does not list {name}; read it too"
+    count = merged([file.summary for file in files]).count
+    is_unfinished = metadata.count == 0 and any(file.loss for file in files)
+    if metadata.count != count and not is_unfinished:
+        yield f"{path} promises {metadata.count} messages, the files hold {count}"

@@ -8,6 +8,8 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 from annotated_types import Ge, Gt
+from rclpy.clock import JumpThreshold
+from rclpy.duration import Duration
 
 from msg_defs import node, topics, wire
 from msg_defs import settings as yaml_settings
@@ -16,10 +18,12 @@ from msg_defs.types import Estimate, Event, StepRecord, settings
 from multi_robot_slam.config import SECTION, Config
 from multi_robot_slam.filter.motion import increment, move
 from multi_robot_slam.pipeline import Pipeline
+from multi_robot_slam.rewind import Rewind
 
 DIAGNOSTICS_PERIOD_S = 1.0
 PROGRESS_PERIOD_S = 0.9
 WARNING_PERIOD_S = 5.0
+POLL_S = 0.01
 
 
 @settings
@@ -31,6 +35,9 @@ class Publishing:
     stop_after_s: Annotated[float, Ge(0), "silence after which the node ends; 0 is never [s]"] = 0.0
     silent_s: Annotated[float, Gt(0), "silence after which a robot is reported [s]"] = 5.0
     publish_tf: Annotated[bool, "publish the transform map -> <robot>/odom"] = True
+    subscribers: Annotated[
+        int, Ge(0), "subscribers to wait for on fusion/steps and each pose before filtering"
+    ] = 0
 
 
 class Message(NamedTuple):
@@ -46,25 +53,34 @@ class Message(NamedTuple):
 class Fusion(node.EdgeNode):
     """Decodes what arrives, hands it to the pipeline, publishes what comes back.
 
-    Messages wait in a queue without limit: however long a step takes, none is lost.
+    Messages wait in a queue without limit: however long a step takes, none is lost. When time goes
+    back, of `/clock` under use_sim_time or of the whole team's stamps, the fusion starts over.
     """
 
     def __init__(self) -> None:
         super().__init__("fusion")
         config, self._settings = node.declare(self, Config, Publishing, section=SECTION)
-        self._robots = config.robots
-        self._pipeline = Pipeline(config, self._warn)
+        self._config = config
+        self._health = Health(config.robots, self._settings.silent_s)
+        self._begin()
         self.get_logger().info("loading the filter, which is compiled the first time")
         self._pipeline.warm_up()
         self._inbox: deque[Message] = deque()
-        self._health = Health(config.robots, self._settings.silent_s)
-        self._has_news = False
         self._outputs = {t: node.publisher(self, t) for t in self._output_topics()}
+        kinds = (topics.pose, topics.mean_pose)
+        lossless = [topics.STEPS, *(kind(robot) for robot in config.robots for kind in kinds)]
+        self._unheard = [self._outputs[topic] for topic in lossless]
         config_yaml = yaml_settings.to_yaml(**{SECTION: config})
         self._publish(topics.FUSION_CONFIG, wire.encode_text(config_yaml))
         for robot in config.robots:
             self._listen(robot, topics.odometry(robot), wire.decode_pose)
             self._listen(robot, topics.observations(robot), wire.decode_observations)
+            if config.sightings:
+                self._listen(robot, topics.sightings(robot), wire.decode_sightings)
+        back = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1))
+        self._jumps = self.get_clock().create_jump_callback(
+            back, post_callback=lambda _: self._rewind.clock_went_back()
+        )
         self.create_timer(self._settings.picture_period_s, self._publish_pictures)
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics)
         self.get_logger().info(f"ready for {', '.join(config.robots)}")
@@ -72,6 +88,8 @@ class Fusion(node.EdgeNode):
     def work(self) -> float:
         """Handle the oldest message; after a silence, the frames held back."""
         silence_s = self._health.silence_s()
+        if self._inbox and self._waits_for_subscribers():
+            return POLL_S
         if self._inbox:
             self._handle(self._inbox.popleft())
         elif self._pipeline.pending and silence_s > self._settings.idle_s:
@@ -90,17 +108,14 @@ class Fusion(node.EdgeNode):
         self._publish_diagnostics()
 
     def _output_topics(self) -> list[topics.Topic]:
-        of_each = (topics.pose, topics.mean_pose, topics.path, topics.particles)
+        outputs = topics.fusion_outputs(self._config.robots)
         wants_tf = self._settings.publish_tf and node.is_available(topics.TF)
-        return [
-            topics.FUSION_CONFIG,
-            topics.STEPS,
-            topics.MAP_LANDMARKS,
-            topics.MAP_MARKERS,
-            topics.DIAGNOSTICS,
-            *([topics.TF] if wants_tf else []),
-            *(topic(robot) for robot in self._robots for topic in of_each),
-        ]
+        return [topic for topic in outputs if wants_tf or topic != topics.TF]
+
+    def _begin(self) -> None:
+        self._pipeline = Pipeline(self._config, self._warn)
+        self._rewind = Rewind(int(self._config.reorder_window_s * 1e9))
+        self._has_news = False
 
     def _publish(self, topic: topics.Topic, data: bytes) -> None:
         self._outputs[topic].publish(data)
@@ -114,6 +129,19 @@ class Fusion(node.EdgeNode):
 
         node.subscribe(self, topic, keep)
 
+    def _waits_for_subscribers(self) -> bool:
+        """What is published before a recorder knows of it is lost; so what comes in waits."""
+        self._unheard = [
+            publisher
+            for publisher in self._unheard
+            if publisher.get_subscription_count() < self._settings.subscribers
+        ]
+        if self._unheard:
+            missing = ", ".join(publisher.topic_name for publisher in self._unheard)
+            text = f"waiting for subscribers of {missing}"
+            self.get_logger().info(text, throttle_duration_sec=WARNING_PERIOD_S)
+        return bool(self._unheard)
+
     def _handle(self, message: Message) -> None:
         self._health.lag_s = time.monotonic() - message.arrived_s
         try:
@@ -121,6 +149,21 @@ class Fusion(node.EdgeNode):
         except InputError as error:
             self._pipeline.refuse(error)
         else:
+            if self._rewind.note(event):
+                self._start_over()
+            else:
+                self._publish_steps(self._pipeline.handle(event))
+
+    def _start_over(self) -> None:
+        """End one run, and begin another with what has come of it already."""
+        self.get_logger().warning("time went back: starting over with the same configuration")
+        self._publish_steps(self._pipeline.finish())
+        self._publish_pictures()
+        beginning = self._rewind.beginning()
+        self._begin()
+        self._health.start_over()
+        for event in beginning:
+            self._rewind.note(event)
             self._publish_steps(self._pipeline.handle(event))
 
     def _publish_steps(self, steps: list[StepRecord]) -> None:
@@ -179,6 +222,11 @@ class Health:
         self._silent_s = silent_s
         self._heard_s = dict.fromkeys(robots, -np.inf)
         self._frames = dict.fromkeys(robots, 0)
+
+    def start_over(self) -> None:
+        """Forget the steps."""
+        self.landmarks, self.step = 0, None
+        self._frames = dict.fromkeys(self._frames, 0)
 
     def hear(self, robot: str) -> None:
         """A message of `robot` arrived now."""

@@ -28,24 +28,16 @@ def recorded(robots: tuple[str, ...]) -> list[topics.Topic]:
     of_each = (
         topics.odometry,
         topics.observations,
+        topics.sightings,
         topics.ground_truth,
         topics.observation_truth,
-        topics.pose,
-        topics.mean_pose,
-        topics.path,
-        topics.particles,
     )
     return [
         topics.GROUND_TRUTH_LANDMARKS,
         topics.GROUND_TRUTH_WALLS,
         topics.WORLD_CONFIG,
-        topics.FUSION_CONFIG,
-        topics.MAP_LANDMARKS,
-        topics.MAP_MARKERS,
-        topics.STEPS,
-        topics.DIAGNOSTICS,
-        topics.TF,
         *(topic(robot) for robot in robots for topic in of_each),
+        *topics.fusion_outputs(robots),
     ]
 
 

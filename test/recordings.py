@@ -34,6 +34,14 @@ def messages_of(step):
         yield topics.observation_truth(name), wire.encode_observation_truth(robot.observation_truth)
 
 
+def padded(data):
+    """As it comes out of DDS, which fills up messages with zeros to a multiple of four bytes.
+
+    A message that is sent in fragments, from 64 kB on, comes as it was.
+    """
+    return data + bytes(-len(data) % 4)
+
+
 def record(folder, scenario=None, seed=0, steps=None, is_live=False, **of_filter):
     """Write a bag of a simulated team and of its fusion's configuration; the two.
 

@@ -1,11 +1,13 @@
 """Bags: what is written is read, by others too; a kill or a cut costs little and is reported."""
 
+import itertools
 import shutil
 import signal
 import subprocess
 import sys
 from pathlib import Path
 
+import bad_bags
 import numpy as np
 import pytest
 import yaml
@@ -13,8 +15,20 @@ from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
+from mcap.writer import CompressionType, IndexType, Writer
+from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
-from rosbags.interfaces import QosDurability, QosReliability
+from rosbags.interfaces import (
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.rosbag2 import Writer as RosbagsWriter
+from rosbags.typesys import Stores, get_typestore
 
 from msg_defs import topics, wire
 from msg_defs.errors import InputError
@@ -164,6 +178,19 @@ class TestOthersReadIt:
         assert (schema.name, schema.encoding) == ("nav_msgs/msg/Odometry", "ros2msg")
         assert channel.message_encoding == "cdr"
 
+    def test_mcap_decodes_every_message_by_its_schema(self, bag):
+        with mcap_file(bag).open("rb") as stream:
+            reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+            decoded = list(reader.iter_decoded_messages())
+        assert len(decoded) == len(recording())
+        for schema, channel, _, message in decoded:
+            if channel.topic == "/robot_1/odom":
+                assert schema.name == "nav_msgs/msg/Odometry"
+                assert (message.header.frame_id, message.pose.pose.position.y) == (
+                    "robot_1/odom",
+                    2.0,
+                )
+
     def test_metadata(self, bag):
         text = (bag / "metadata.yaml").read_text()
         information = yaml.safe_load(text)["rosbag2_bagfile_information"]
@@ -189,6 +216,101 @@ class TestOthersReadIt:
         assert type_hash == (
             "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
         )
+
+
+def write_with_rosbags(folder, messages, storage, compression=None):
+    """The bag `folder` of the same messages as another program writes it."""
+    writer = RosbagsWriter(folder, version=9, storage_plugin=storage)
+    if compression:
+        writer.set_compression(compression, CompressionFormat.ZSTD)
+    store = get_typestore(Stores.ROS2_JAZZY)
+    forever = QosTime(9223372036, 854775807)
+    with writer:
+        connections = {}
+        for topic, stamp, data in messages:
+            if topic not in connections:
+                qos = Qos(
+                    QosHistory.KEEP_LAST,
+                    1,
+                    QosReliability.RELIABLE,
+                    QosDurability.TRANSIENT_LOCAL
+                    if topic.qos == topics.LATCHED
+                    else QosDurability.VOLATILE,
+                    forever,
+                    forever,
+                    QosLiveliness.AUTOMATIC,
+                    forever,
+                    False,
+                )
+                connections[topic] = writer.add_connection(
+                    bags.absolute(topic.name),
+                    topic.type,
+                    typestore=store,
+                    offered_qos_profiles=[qos],
+                )
+            writer.write(connections[topic], stamp, data)
+    return folder
+
+
+def tangled():
+    """Few stamps and many topics: the order among equal stamps is that of writing."""
+    kinds = [topics.odometry(robot) for robot in ROBOTS] + [topics.FUSION_CONFIG]
+    rng = np.random.default_rng(1)
+    return [(kinds[rng.integers(3)], int(rng.integers(5)), bytes([i]) * 50) for i in range(200)]
+
+
+class TestOthersWriteIt:
+    @pytest.mark.parametrize(
+        ("storage", "compression"),
+        [
+            *itertools.product(
+                StoragePlugin, [None, CompressionMode.FILE, CompressionMode.MESSAGE]
+            ),
+            (StoragePlugin.MCAP, CompressionMode.STORAGE),
+        ],
+    )
+    def test_all_storages_give_the_same(self, tmp_path, storage, compression):
+        reader = BagReader(write_with_rosbags(tmp_path / "run", tangled(), storage, compression))
+        assert list(reader) == as_read(tangled())
+        assert reader.warnings == []
+        assert reader.summary.count == 200
+        assert reader.summary.span_ns == (0, 4)
+        latched = {topic.name for topic in reader.summary.topics if topic.qos == topics.LATCHED}
+        assert latched == {"/fusion/config"}
+
+    @pytest.mark.parametrize("storage", StoragePlugin)
+    def test_without_metadata(self, tmp_path, storage):
+        folder = write_with_rosbags(tmp_path / "run", tangled(), storage)
+        (folder / "metadata.yaml").unlink()
+        (file,) = folder.iterdir()
+        assert list(BagReader(folder)) == list(BagReader(file)) == as_read(tangled())
+        assert "is unusable" in BagReader(folder).warnings[0]
+        assert BagReader(file).warnings == []
+
+    def test_mcap_without_chunks_index_and_statistics(self, tmp_path):
+        """As rosbag2's preset `fastwrite` leaves it."""
+        path = tmp_path / "x.mcap"
+        with path.open("wb") as stream:
+            writer = Writer(
+                stream,
+                compression=CompressionType.NONE,
+                index_types=IndexType.NONE,
+                repeat_channels=False,
+                repeat_schemas=False,
+                use_chunking=False,
+                use_statistics=False,
+                use_summary_offsets=False,
+            )
+            writer.start("ros2")
+            schema = writer.register_schema("nav_msgs/msg/Odometry", "ros2msg", b"")
+            channel = writer.register_channel("/robot_1/odom", "cdr", schema)
+            for i in (3, 1, 2):
+                writer.add_message(channel, i, bytes([i]), i)
+            writer.finish()
+        reader = BagReader(path)
+        assert [record.stamp_ns for record in reader] == [1, 2, 3]
+        assert (reader.summary.count, reader.summary.span_ns) == (3, (1, 3))
+        assert (reader.warnings, reader.found()) == ([], "/robot_1/odom")
 
 
 class TestKilled:
@@ -258,6 +380,14 @@ class TestKilled:
         assert (counts[0], counts[-1]) == (0, 30)
         assert max(np.diff(counts)) <= 2
 
+    def test_what_is_known_of_the_loss_is_told(self, bag):
+        data = mcap_file(bag).read_bytes()
+        mcap_file(bag).write_bytes(data[: len(data) // 2])
+        torn, count = BagReader(bag).warnings
+        left = len(list(BagReader(bag)))
+        assert f"{left} messages over 0.0 s are read" in torn
+        assert f"promises {len(recording())} messages, the files hold {left}" in count
+
     def test_late_messages_of_a_cut_file_are_sorted(self, bag):
         data = mcap_file(bag).read_bytes()
         mcap_file(bag).write_bytes(data[:-20])
@@ -297,10 +427,28 @@ class TestRefused:
         with pytest.raises(InputError, match=r"no \.mcap file"):
             BagReader(tmp_path)
 
-    def test_compression_by_rosbag2(self, bag):
-        edit_metadata(bag, compression_mode="message", compression_format="zstd")
-        with pytest.raises(InputError, match="compression_mode 'message'"):
-            BagReader(bag)
+    @pytest.mark.parametrize("share", [0, 0.001, 0.5, 0.99])
+    def test_a_cut_database(self, tmp_path, share):
+        folder = write_with_rosbags(tmp_path / "run", tangled(), StoragePlugin.SQLITE3)
+        (file,) = folder.glob("*.db3")
+        file.write_bytes(file.read_bytes()[: int(share * file.stat().st_size)])
+        with pytest.raises(InputError, match=r"is damaged|is empty") as caught:
+            list(BagReader(file))
+        assert "\n" not in str(caught.value)
+
+    def test_a_compressed_file_that_is_cut(self, tmp_path):
+        messages, storage = tangled(), StoragePlugin.SQLITE3
+        folder = write_with_rosbags(tmp_path / "run", messages, storage, CompressionMode.FILE)
+        (file,) = folder.glob("*.zstd")
+        file.write_bytes(file.read_bytes()[:-100])
+        with pytest.raises(InputError, match="is damaged"):
+            list(BagReader(folder))
+
+    def test_another_type_on_a_topic(self, bag):
+        wanted = topics.odometry("robot_1")._replace(type="geometry_msgs/msg/Twist")
+        told = "/robot_1/odom was recorded as nav_msgs/msg/Odometry, expected is geometry_msgs/msg"
+        with pytest.raises(InputError, match=told):
+            next(BagReader(bag).only([wanted]))
 
     def test_damage_in_the_middle(self, bag):
         data = bytearray(mcap_file(bag).read_bytes())
@@ -351,3 +499,24 @@ class TestMetadataDisagrees:
         reader = BagReader(bag)
         assert "is unusable" in reader.warnings[0]
         assert list(reader) == as_read(recording())
+
+
+@pytest.mark.parametrize("verb", ["run", "evaluate"])
+@pytest.mark.parametrize("kind", bad_bags.BAD)
+def test_a_useless_bag_is_one_line_and_exit_code_2(command, tmp_path, verb, kind):
+    make, told = bad_bags.BAD[kind]
+    make(tmp_path / "bag")
+    words = ("--out", tmp_path / "out") if verb == "run" else ()
+    code, out, err = command(verb, tmp_path / "bag", *words)
+    assert (code, out, err.count("\n")) == (2, "", 1), err
+    for part in ("error: ", *told):
+        assert part in err
+
+
+def test_run_names_the_topics_it_expected(command, tmp_path):
+    make, _ = bad_bags.BAD["foreign"]
+    make(tmp_path / "bag")
+    words = ("--scenario", "calibrated", "--out", tmp_path / "out")
+    code, out, err = command("run", tmp_path / "bag", *words)
+    assert (code, out, err.count("\n")) == (2, "", 1), err
+    assert "expected /robot_1/odom, /robot_1/stereo/landmarks; its topics are /chatter" in err

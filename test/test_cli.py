@@ -153,5 +153,5 @@ def test_bad_input_is_one_line_and_exit_code_2(command, bag, tmp_path, words, to
 
 def test_nodes_without_ros_say_what_is_missing(command, monkeypatch):
     monkeypatch.setitem(sys.modules, "rclpy", None)
-    for verb in ("demo", "fusion", "record"):
+    for verb in ("demo", "fusion", "record", "replay"):
         assert "no module 'rclpy'" in refused(command(verb))

@@ -1,6 +1,7 @@
 import signal
 import subprocess
 import sys
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,7 @@ from hypothesis import strategies as st
 
 from msg_defs import settings, topics, wire
 from msg_defs.errors import InputError
-from msg_defs.types import StepRecord
+from msg_defs.types import Sightings, StepRecord
 from multi_robot_slam.config import SECTION, Config
 from multi_robot_slam.filter.motion import move, wrap
 from multi_robot_slam.pipeline import Pipeline
@@ -156,6 +157,35 @@ def test_a_silent_robot_is_reported(parameters):
     levels = {status.name: status.level for status in statuses}
     assert levels["fusion: robot_1"] == wire.OK
     assert levels["fusion: robot_2"] == wire.WARN
+
+
+def test_what_comes_in_waits_for_the_subscribers_that_are_expected(parameters):
+    with nodes.ros(*parameters, "-p", "subscribers:=1"):
+        node, sender = fusion.Fusion(), nodes.Listener(name="sender")
+        sender.send(everything())
+        wait_over = time.monotonic() + 0.5
+        nodes.spin_until(lambda: time.monotonic() > wait_over, node, sender)
+        assert not node.done
+        late = nodes.Listener(*OUTPUTS)
+        nodes.spin_until(lambda: len(late.heard[topics.STEPS]) == len(STEPS), node, late)
+        for robot in CONFIG.robots:
+            assert len(late.heard[topics.pose(robot)]) == len(STEPS)
+
+
+def test_sightings_reach_the_pipeline_where_robots_send_them(parameters):
+    nothing = np.zeros((0, 3), np.float32), np.zeros((0, 6), np.float32)
+    seen = [
+        (
+            topics.sightings(name),
+            Sightings(name, step[0].odometry.stamp_ns, np.zeros(0, "u4"), *nothing),
+        )
+        for step in STEPS
+        for name in CONFIG.robots
+    ]
+    sent = [(topic, wire.encode_sightings(sightings)) for topic, sightings in seen]
+    heard = run([*parameters, "-p", "sightings:=true"], [*sent, *everything()])
+    assert dropped(heard) == {}
+    assert len(heard[topics.STEPS]) == len(STEPS)
 
 
 def test_works_under_a_namespace(parameters):

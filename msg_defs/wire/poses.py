@@ -171,7 +171,7 @@ def _planar_with_covariance(pose: Any, what: str) -> tuple[np.ndarray, np.ndarra
     covariance = pose.covariance.reshape(6, 6)[_PLANAR].astype(np.float64)
     require_finite(covariance, what, "covariance")
     scaled = covariance / (np.abs(covariance).max() or 1.0)
-    symmetric = np.allclose(scaled, scaled.T, rtol=0, atol=1e-6)
+    symmetric = np.abs(scaled - scaled.T).max() <= 1e-6
     if not symmetric or np.linalg.eigvalsh(scaled)[0] < -1e-6:
         raise InputError(
             f"{what}: covariance of x, y, yaw {covariance.tolist()} is not symmetric and positive "

@@ -1,0 +1,221 @@
+"""The files of a bag: MCAP, whole or broken off, and whatever else rosbags reads.
+
+Each gives its records by time, equal times in the order written, and a summary of them.
+"""
+
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from functools import cached_property
+from operator import attrgetter
+from pathlib import Path
+from typing import IO, NamedTuple
+
+from mcap.reader import SeekingReader
+from mcap.reader import Summary as McapSummary
+from mcap.records import Channel, Message, Schema
+from mcap.stream_reader import StreamReader
+from rosbags.interfaces import Qos, QosDurability, QosReliability
+from rosbags.rosbag2 import Reader
+from rosbags.rosbag2.metadata import parse_qos
+
+from msg_defs.errors import InputError
+from msg_defs.topics import LATCHED, SENSOR, STREAM, Topic
+
+MCAP_MAGIC = b"\x89MCAP0\r\n"
+SQLITE_MAGIC = b"SQLite format 3\0"
+
+
+class Record(NamedTuple):
+    """One message of a bag."""
+
+    topic: str
+    """Absolute, as recorded: `/robot_1/odom`."""
+    type: str
+    stamp_ns: int
+    """When it was recorded."""
+    data: bytes
+    """CDR."""
+
+
+class Summary(NamedTuple):
+    """What a file holds."""
+
+    topics: frozenset[Topic]
+    """Names are absolute."""
+    count: int
+    """Messages."""
+    span_ns: tuple[int, int] | None
+    """When the first and the last message were recorded; None without messages."""
+
+
+def merged(summaries: list[Summary]) -> Summary:
+    """The summary of several files together."""
+    spans = [summary.span_ns for summary in summaries if summary.span_ns]
+    return Summary(
+        frozenset().union(*(summary.topics for summary in summaries)),
+        sum(summary.count for summary in summaries),
+        (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None,
+    )
+
+
+class McapFile:
+    """One MCAP file. One that breaks off is read up to there."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.size = path.stat().st_size
+        with path.open("rb") as stream:
+            stream.seek(max(0, self.size - len(MCAP_MAGIC)))
+            end = stream.read()
+        self.is_complete = self.size > len(MCAP_MAGIC) and end == MCAP_MAGIC
+
+    def records(self, names: Collection[str] | None = None) -> Iterator[Record]:
+        """Those of the topics `names`, by default all."""
+        with self.path.open("rb") as stream, _damage_reported(self.path):
+            if self.is_complete:
+                for found in SeekingReader(stream, validate_crcs=True).iter_messages(names):
+                    yield _record(*found)
+            else:
+                found = _Salvage(stream, self.size).records()
+                wanted = (r for r in found if names is None or r.topic in names)
+                yield from sorted(wanted, key=attrgetter("stamp_ns"))
+
+    @cached_property
+    def summary(self) -> Summary:
+        """From the file's own summary where it has one, else from all its messages."""
+        with self.path.open("rb") as stream, _damage_reported(self.path):
+            found = SeekingReader(stream).get_summary() if self.is_complete else None
+        if found is None or found.statistics is None:
+            return self._scan[0]
+        return _declared(found)
+
+    @property
+    def loss(self) -> str:
+        """What is known about the part that is missing; empty when the file is complete."""
+        if self.is_complete:
+            return ""
+        (_, count, span_ns), used = self._scan
+        first, last = span_ns or (0, 0)
+        return (
+            f"{self.path} breaks off: its recorder was killed, or it was cut; {count} messages "
+            f"over {(last - first) / 1e9:.1f} s are read, {self.size - used} bytes after them "
+            "hold no whole one"
+        )
+
+    @cached_property
+    def _scan(self) -> tuple[Summary, int]:
+        """What the messages tell, and the size up to the end of the last whole record [bytes]."""
+        stamps = []
+        with self.path.open("rb") as stream, _damage_reported(self.path):
+            salvage = _Salvage(stream, self.size)
+            stamps += (record.stamp_ns for record in salvage.records())
+            topics = {
+                _topic(channel, salvage.schemas.get(channel.schema_id))
+                for channel in salvage.channels.values()
+            }
+        span_ns = (min(stamps), max(stamps)) if stamps else None
+        return Summary(frozenset(topics), len(stamps), span_ns), salvage.used
+
+
+class _Salvage:
+    """Every whole message of an MCAP stream up to where it breaks off, in the order written."""
+
+    def __init__(self, stream: IO[bytes], size: int) -> None:
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self.used = 0
+        self._stream = stream
+        self._size = size
+
+    def records(self) -> Iterator[Record]:
+        reader = StreamReader(self._stream, record_size_limit=self._size, validate_crcs=True)
+        found = reader.records
+        while True:
+            try:
+                record = next(found)
+            except Exception:  # StopIteration, and anything can come of half a record
+                return
+            self.used = self._stream.tell()
+            match record:
+                case Schema():
+                    self.schemas[record.id] = record
+                case Channel():
+                    self.channels[record.id] = record
+                case Message():
+                    channel = self.channels[record.channel_id]
+                    yield _record(self.schemas.get(channel.schema_id), channel, record)
+
+
+class RosbagsFile:
+    """A sqlite3 file, or a whole bag that rosbag2 compressed."""
+
+    loss = ""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def records(self, names: Collection[str] | None = None) -> Iterator[Record]:
+        """Those of the topics `names`, by default all."""
+        with _damage_reported(self.path), Reader(self.path) as reader:
+            messages = (
+                Record(connection.topic, connection.msgtype, stamp_ns, bytes(data))
+                for connection, stamp_ns, data in reader.messages()
+                if names is None or connection.topic in names
+            )
+            # rosbags gives one file of a folder after the other.
+            is_folder = self.path.is_dir()
+            yield from sorted(messages, key=attrgetter("stamp_ns")) if is_folder else messages
+
+    @cached_property
+    def summary(self) -> Summary:
+        with _damage_reported(self.path), Reader(self.path) as reader:
+            topics = {
+                Topic(c.topic, c.msgtype, _kind(c.ext.offered_qos_profiles))
+                for c in reader.connections
+            }
+            count = reader.message_count
+            span_ns = (reader.start_time, reader.end_time - 1) if count else None
+            return Summary(frozenset(topics), count, span_ns)
+
+
+@contextmanager
+def _damage_reported(path: Path) -> Iterator[None]:
+    """Readers raise anything from `struct.error` to `KeyError` on damaged bytes."""
+    try:
+        yield
+    except Exception as error:
+        text = " ".join(str(error).split())
+        raise InputError(
+            f"{path} is damaged: {type(error).__name__}: {text}; copy or record it again"
+        ) from None
+
+
+def _declared(summary: McapSummary) -> Summary:
+    statistics = summary.statistics
+    span_ns = statistics.message_start_time, statistics.message_end_time
+    return Summary(
+        frozenset(_topic(c, summary.schemas.get(c.schema_id)) for c in summary.channels.values()),
+        statistics.message_count,
+        span_ns if statistics.message_count else None,
+    )
+
+
+def _record(schema: Schema | None, channel: Channel, message: Message) -> Record:
+    return Record(channel.topic, schema.name if schema else "", message.log_time, message.data)
+
+
+def _topic(channel: Channel, schema: Schema | None) -> Topic:
+    try:
+        profiles = parse_qos(channel.metadata.get("offered_qos_profiles", ""))
+    except Exception:  # not rosbag2's: the quality of service is a hint
+        profiles = []
+    return Topic(channel.topic, schema.name if schema else "", _kind(profiles))
+
+
+def _kind(profiles: list[Qos]) -> str:
+    """The nearest of the three kinds of `msg_defs.topics` to what a publisher offered."""
+    if any(qos.durability is QosDurability.TRANSIENT_LOCAL for qos in profiles):
+        return LATCHED
+    if any(qos.reliability is QosReliability.BEST_EFFORT for qos in profiles):
+        return SENSOR
+    return STREAM
