@@ -79,7 +79,7 @@ def refine(lineage: Lineage, landmarks: LandmarkMap, config: Config) -> Refined:
     owner = np.arange(len(landmarks.ids))
     while True:
         problem = _problem(records, [owner[rows] for rows in seen], config)
-        smoothed = smoothing.smooth(problem, poses, robust_above=config.filter.gate)
+        smoothed = smoothing.smooth(problem, poses, robust_above=config.filter.robust_above)
         poses = smoothed.poses
         deviations = smoothing.landmark_deviations(problem, smoothed)
         pairs = np.searchsorted(problem.ids, _distinct(owner[alike]))

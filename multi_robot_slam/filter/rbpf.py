@@ -50,6 +50,11 @@ class FilterSettings:
     sighting_gate: Annotated[
         float, Gt(0), "of a robot seen, squared Mahalanobis distance; 99 % of chi2 with 2 dof"
     ] = 9.21
+    robust_above: Annotated[
+        float,
+        Gt(0),
+        "in smoothing, D up to which an observation or sighting counts in full; far above, nothing",
+    ] = 11.345
     resample_below: Annotated[
         float, Interval(ge=0, le=1), "resample below this share of M effective; 1 = every step"
     ] = 0.5
@@ -166,6 +171,7 @@ def _rejuvenate(
 ) -> Rejuvenated:
     associations = Associations(
         settings.gate,
+        settings.robust_above,
         settings.descriptor_gate,
         settings.exclusive,
         settings.motion,

@@ -64,6 +64,7 @@ class Associations(NamedTuple):
     """What the rejuvenation needs to know of the filter's settings."""
 
     gate: float
+    robust_above: float
     descriptor_gate: float
     exclusive: bool
     motion: MotionSettings
@@ -192,13 +193,13 @@ def _draw(
     problem, smoothed, heirs = _smooth(
         state.settled, records, poses, identities, alike, associations
     )
-    normals = rng.standard_normal((3 * len(records), len(members)))
+    normals = rng.standard_normal((3 * len(records), len(members)), np.float32)
     normals[:, 0] = 0
     paths = whole_paths.draw(smoothed, normals)
     planes, densities = whole_paths.landmarks_and_log_density(
         problem, paths, smoothed.weights, state.landmarks.planes.dtype, associations.threads
     )
-    log_weights = densities + 0.5 * np.square(normals).sum(axis=0)
+    log_weights = densities + 0.5 * np.square(normals, dtype=float).sum(axis=0)
     log_weights -= log_weights.max()
     log_weights -= np.log(np.exp(log_weights).mean())
     return Drawn(
@@ -240,7 +241,7 @@ def _smooth(
             associations.mount,
             settled.known._replace(ids=heirs.of(settled.known.ids)),
         )
-        smoothed = smoothing.smooth(problem, poses, associations.gate, NEAR_ENOUGH)
+        smoothed = smoothing.smooth(problem, poses, associations.robust_above, NEAR_ENOUGH)
         pairs = heirs.of(alike)
         pairs = pairs[np.isin(pairs, problem.ids).all(axis=1) & (pairs[:, 0] != pairs[:, 1])]
         rows = joining.joined(
