@@ -79,7 +79,7 @@ def assert_same_paths(paths, others, atol):
 
 def deaf(config, gate=1e6):
     """With a gate so wide that nothing is an outlier."""
-    return replace(config, filter=replace(config.filter, gate=gate))
+    return replace(config, filter=replace(config.filter, gate=gate, robust_above=gate))
 
 
 def test_yardstick_does_not_depend_on_the_particle(explored):

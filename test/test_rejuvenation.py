@@ -108,7 +108,7 @@ def test_in_a_linear_world_the_particles_are_the_exact_smoother_s(proposal):
 
 
 def test_landmark_filters_are_those_of_filtering_along_the_drawn_path():
-    settings = worlds.settings(particles=5, proposal="informed", gate=1e3)
+    settings = worlds.settings(particles=5, proposal="informed", gate=1e3, robust_above=1e6)
     state, _ = run(worlds.drive(4, steps=12), settings)
     rejuvenated(state, settings)
     place = (worlds.MOUNT.forward_m, worlds.MOUNT.left_m, worlds.MOUNT.up_m)
