@@ -282,3 +282,16 @@ def test_heirs_replace_ids_through_several_joins(pairs):
     heirs = heirs.and_then(np.array([[0, 1]]))
     expected = np.array([0, 0, 2, 0 if [1, 5] in pairs else 5, 0 if [0, 7] in pairs else 7])
     assert heirs.of(np.array([0, 1, 2, 5, 7])).tolist() == expected.tolist()
+
+
+@pytest.mark.parametrize("spread", [0.1, 2.0, 30.0])
+def test_tempered_weights_leave_half_of_the_particles_effective_and_touch_nothing_better(spread):
+    exact = np.random.default_rng(0).normal(0, spread, 200)
+    weights = rejuvenation.tempered(exact)
+    effective = rbpf.resampling.effective_sample_size(rbpf.resampling.normalise(weights))
+    assert effective > 99.9
+    if spread == 0.1:
+        assert (weights == exact).all()
+    else:
+        assert effective < 100.1
+        np.testing.assert_allclose(weights / exact, (weights / exact)[0])

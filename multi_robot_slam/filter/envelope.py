@@ -1,11 +1,15 @@
 """Cholesky factorisation H = L L^T of a sparse matrix of poses, inside its envelope.
 
-Where two poses share no measurement their block of H is zero. L fills each row from its first
+Where two poses share no measurement their block of H is zero, a landmark's elimination ties all
+poses that saw it. A few landmarks, the hubs, are kept as unknowns instead, after all poses
+(`hubs` chooses them). L fills each row from its first
 block that is not zero up to the diagonal, the envelope, and nothing else (George, Liu: Computer
 solution of large sparse positive definite systems, 1981). Reverse Cuthill-McKee brings poses that
 saw the same landmarks together, however much later a loop was closed, which keeps the envelope
 small: for a tour of a building a fifth of the triangle, and a twentieth of its arithmetic. Rows and
 columns are handled in tiles, each product of tiles by BLAS.
+
+Unknowns have three rows each: the P poses x, y and yaw, then the H hubs x, y and z; U = P + H.
 """
 
 from dataclasses import dataclass
@@ -19,7 +23,7 @@ from threadpoolctl import ThreadpoolController
 from multi_robot_slam.filter.smoothing_problem import Problem
 
 TILE = 24
-"""Poses of a tile: large enough for BLAS to be fast, small enough to follow the envelope."""
+"""Unknowns of a tile: large enough for BLAS to be fast, small enough to follow the envelope."""
 
 one_thread = ThreadpoolController().wrap(limits=1, user_api="blas")
 """BLAS with one thread: the same bytes on any number of cores, and no waiting for a busy one."""
@@ -33,23 +37,37 @@ class Envelope:
     other, in one array for all tiles.
     """
 
+    hubs: np.ndarray
+    """(H,): the landmarks that are not eliminated."""
     order: np.ndarray
-    """(P,): the poses in their order."""
+    """(U,): the unknowns in their order, poses before hubs."""
     place: np.ndarray
-    """(P,): place of each pose in the order."""
+    """(U,): place of each unknown in the order."""
     edges: np.ndarray
-    """(T + 1,): tile t has the rows edges[t] .. edges[t + 1] - 1, three for each pose."""
+    """(T + 1,): tile t has the rows edges[t] .. edges[t + 1] - 1, three for each unknown."""
     begins: np.ndarray
     """(T,): first column of the tile's rows, an edge."""
     origins: np.ndarray
-    """(3 P,): row r, column c is element origins[r] + c."""
+    """(3 U,): row r, column c is element origins[r] + c."""
     size: int
     """Number of elements."""
 
     @property
     def rows(self) -> np.ndarray:
-        """(3 P,): row of x, y and yaw of each pose in turn, by place, among rows by pose."""
+        """(3 U,): the rows by place among the rows by unknown."""
         return (3 * self.order[:, None] + np.arange(3)).ravel()
+
+    @property
+    def places(self) -> np.ndarray:
+        """(3 U,): the rows by unknown among the rows by place."""
+        return (3 * self.place[:, None] + np.arange(3)).ravel()
+
+    @property
+    def multiplications(self) -> int:
+        """Of the factorisation, but for the tiles on the diagonal."""
+        common = np.maximum(self.begins[:, None], self.begins)
+        inside = np.clip(self.edges[None, :-1] - common, 0, None) * np.diff(self.edges)
+        return int(np.diff(self.edges) @ np.tril(inside).sum(axis=1))
 
     def tiles(self, elements: np.ndarray) -> list[np.ndarray]:
         """Views of the rows of each tile, (rows, columns kept)."""
@@ -71,15 +89,21 @@ class Factor:
     inverses: list[np.ndarray]
     """Inverse of each tile on the diagonal of L."""
 
+    @property
+    def size(self) -> int:
+        """3 U, the number of rows."""
+        return int(self.envelope.edges[-1])
+
     def solve_lower(self, right: np.ndarray) -> np.ndarray:
-        """L^-1 of `right` (3 P, ...), whose rows are in the order of the poses."""
-        result = right[self.envelope.rows]
+        """L^-1 (3 U, ...), by place, of `right` (3 P, ...), by pose, which is zero for the hubs."""
+        result = np.zeros((self.size, *right.shape[1:]))
+        result[self.envelope.places[: len(right)]] = right
         for rows, left, tile, inverse in self._by_tile():
             result[rows] = inverse @ (result[rows] - tile @ result[left])
         return result
 
     def solve_upper(self, right: np.ndarray) -> np.ndarray:
-        """L^-T of `right` (3 P, ...), in its precision; the result's rows are by pose."""
+        """L^-T of `right` (3 U, ...), by place, in its precision; the result is by unknown."""
         solved = right.copy()
         for rows, left, tile, inverse in reversed(self._by_tile()):
             solved[rows] = inverse.T.astype(right.dtype, copy=False) @ solved[rows]
@@ -119,27 +143,29 @@ def factorise(envelope: Envelope, elements: np.ndarray) -> Factor:
     return Factor(envelope, lefts, inverses)
 
 
-def envelope_of(problem: Problem) -> Envelope:
-    """The envelope of the information of a problem's poses, landmarks out."""
-    order = _order(problem)
+def envelope_of(problem: Problem, hubs: np.ndarray) -> Envelope:
+    """The envelope of the information of a problem's poses and `hubs` (H,), other landmarks out."""
+    is_hub = np.zeros(len(problem.ids), bool)
+    is_hub[hubs] = True
+    order = np.append(_order(problem, is_hub), len(problem.robots) + np.arange(len(hubs)))
     place = np.empty_like(order)
     place[order] = np.arange(len(order))
     edges = np.append(np.arange(0, len(order), TILE), len(order))
-    first = np.minimum.reduceat(_first_columns(problem, place), edges[:-1])
+    first = np.minimum.reduceat(_first_columns(problem, hubs, is_hub, place), edges[:-1])
     begins, edges = 3 * (first // TILE) * TILE, 3 * edges
     widths = np.repeat(edges[1:] - begins, np.diff(edges))
     ends = np.cumsum(widths)
     origins = ends - widths - np.repeat(begins, np.diff(edges))
-    return Envelope(order, place, edges, begins, origins, int(ends[-1]))
+    return Envelope(hubs, order, place, edges, begins, origins, int(ends[-1]))
 
 
-def _order(problem: Problem) -> np.ndarray:
-    """(P,) the poses by reverse Cuthill-McKee of the graph of poses and landmarks."""
+def _order(problem: Problem, is_hub: np.ndarray) -> np.ndarray:
+    """(P,) the poses by reverse Cuthill-McKee of the graph of poses and eliminated landmarks."""
     poses, size = len(problem.robots), len(problem.robots) + len(problem.ids)
-    moving = problem.seen_from >= 0
+    out = (problem.seen_from >= 0) & ~is_hub[problem.landmarks]
     following = np.flatnonzero(problem.previous >= 0)
-    one = [problem.seen_from[moving], following, problem.sighted.seen_from]
-    other = [poses + problem.landmarks[moving], problem.previous[following], problem.sighted.seen]
+    one = [problem.seen_from[out], following, problem.sighted.seen_from]
+    other = [poses + problem.landmarks[out], problem.previous[following], problem.sighted.seen]
     one, other = np.concatenate(one), np.concatenate(other)
     rows, columns = np.append(one, other), np.append(other, one)
     graph = csr_array((np.ones(len(rows), np.int8), (rows, columns)), (size, size))
@@ -147,14 +173,18 @@ def _order(problem: Problem) -> np.ndarray:
     return order[order < poses]
 
 
-def _first_columns(problem: Problem, place: np.ndarray) -> np.ndarray:
-    """(P,) place of the first pose that the pose at each place shares a measurement with."""
+def _first_columns(
+    problem: Problem, hubs: np.ndarray, is_hub: np.ndarray, place: np.ndarray
+) -> np.ndarray:
+    """(U,) place of the first unknown that the one at each place shares a measurement with."""
     moving = problem.seen_from >= 0
     at, landmarks = place[problem.seen_from[moving]], problem.landmarks[moving]
-    earliest = np.full(len(problem.ids), len(place))
+    earliest = np.full(len(problem.ids), len(place) - 1)
     np.minimum.at(earliest, landmarks, at)
     first = np.arange(len(place))
-    np.minimum.at(first, at, earliest[landmarks])
+    first[len(problem.robots) :] = earliest[hubs]
+    out = ~is_hub[landmarks]
+    np.minimum.at(first, at[out], earliest[landmarks[out]])
     following = np.flatnonzero(problem.previous >= 0)
     for one, other in (
         (place[following], place[problem.previous[following]]),

@@ -7,7 +7,7 @@ history A that enough particles share:
 
     x_hat, H     optimum of the paths and its information, landmarks eliminated (`smoothing`)
     x_m          = x_hat + L^-T n_m,  n_m ~ N(0, I),  H = L L^T
-    w_m          ~ p(x_m, z | A) / N(x_m; x_hat, H^-1)
+    w_m          ~ p(x_m, z | A) / N(x_m; x_hat, H^-1), tempered where few would remain
     landmarks_m  = exact sums of information along x_m: what its EKFs would hold
 
 Every particle has a past of its own again, and the filter goes on. Particles whose history too few
@@ -23,6 +23,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 from annotated_types import Ge, Interval
+from scipy.optimize import brentq
 
 from msg_defs.types import CameraMount, settings
 from multi_robot_slam.filter import joining, resampling, smoothing, whole_paths
@@ -106,7 +107,7 @@ class Rejuvenated(NamedTuple):
     alone: int
     """Particles that were left as they were."""
     effective_particles: float
-    """Effective sample size of the importance weights of those that were not."""
+    """Effective sample size of the exact importance weights, summed over the groups."""
 
 
 def is_due(state: State, settings: RejuvenationSettings) -> bool:
@@ -139,9 +140,12 @@ def rejuvenate(
     state.origins = np.arange(len(weights), dtype=np.int32)
     state.origin_step = state.steps
     state.landmarks.bound(state.landmarks.alive(), associations.gate)
-    fresh = np.concatenate([*shared, np.empty(0, int)]).astype(int)
-    effective = resampling.effective_sample_size(resampling.normalise(state.log_weights[fresh]))
-    return Rejuvenated(ancestors, len(shared), len(weights) - len(fresh), effective)
+    return Rejuvenated(
+        ancestors,
+        len(shared),
+        len(weights) - sum(map(len, shared)),
+        sum(group.effective_particles for group in drawn),
+    )
 
 
 def _groups(state: State) -> list[np.ndarray]:
@@ -176,7 +180,9 @@ class Drawn(NamedTuple):
     planes: np.ndarray
     """(N, 9, n): its mean and covariance, as in `Landmarks`."""
     log_weights: np.ndarray
-    """(n,) float64: logarithm of the importance weights; their mean weight is 1."""
+    """(n,) float64: logarithm of the weights, tempered; their mean weight is 1."""
+    effective_particles: float
+    """Effective sample size of the importance weights before they were tempered, 1 .. n."""
     log_densities: np.ndarray
     """(n,) float64: logarithm of the posterior density over that of the optimum."""
 
@@ -193,13 +199,14 @@ def _draw(
     problem, smoothed, heirs = _smooth(
         state.settled, records, poses, identities, alike, associations
     )
-    normals = rng.standard_normal((3 * len(records), len(members)), np.float32)
+    normals = rng.standard_normal((smoothed.factor.size, len(members)), np.float32)
     normals[:, 0] = 0
-    paths = whole_paths.draw(smoothed, normals)
+    paths, drawn_densities = whole_paths.draw(problem, smoothed, normals)
     planes, densities = whole_paths.landmarks_and_log_density(
         problem, paths, smoothed.weights, state.landmarks.planes.dtype, associations.threads
     )
-    log_weights = densities + 0.5 * np.square(normals, dtype=float).sum(axis=0)
+    exact = densities - drawn_densities
+    log_weights = tempered(exact)
     log_weights -= log_weights.max()
     log_weights -= np.log(np.exp(log_weights).mean())
     return Drawn(
@@ -209,8 +216,23 @@ def _draw(
         heirs,
         planes,
         log_weights,
+        resampling.effective_sample_size(resampling.normalise(exact)),
         densities - densities[0],
     )
+
+
+def tempered(log_weights: np.ndarray) -> np.ndarray:
+    """`log_weights` (n,) times the largest b <= 1 that leaves half of the sample size effective.
+
+    Of a posterior far from Gaussian few draws have any weight, and to keep those alone would lose
+    more than the weights correct.
+    """
+
+    def lacking(b: float) -> float:
+        weights = resampling.normalise(b * log_weights)
+        return 0.5 * len(weights) - resampling.effective_sample_size(weights)
+
+    return log_weights * (1.0 if lacking(1.0) <= 0 else brentq(lacking, 0.0, 1.0, xtol=1e-6))
 
 
 def _past(state: State, members: np.ndarray) -> tuple[list[Record], np.ndarray, list[np.ndarray]]:

@@ -18,8 +18,10 @@ with the landmarks at their best the Schur complement of the full system is
     H = H_odometry + H_sightings
         + sum_o J^T W J - sum_n (sum_i J_i^T W_i) Lambda^-1 (sum_j W_j J_j)
 
-with J = de/dx = [-1 0 q_y; 0 -1 -q_x; 0 0 0], q = l - p. Its Cholesky factor (`envelope`) also
-draws paths from the Gaussian around the optimum (`whole_paths`).
+with J = de/dx = [-1 0 q_y; 0 -1 -q_x; 0 0 0], q = l - p. A landmark that this would make too dense
+stays an unknown (`hubs`): W J and Lambda become rows of H. Its part of the gradient is zero, since
+it is at its best. The Cholesky factor of H (`envelope`) also draws paths from the Gaussian around
+the optimum (`whole_paths`).
 """
 
 from dataclasses import dataclass
@@ -27,7 +29,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from multi_robot_slam.filter import smoothing_kernels as kernels
-from multi_robot_slam.filter.envelope import Envelope, Factor, envelope_of, factorise, one_thread
+from multi_robot_slam.filter.envelope import Envelope, Factor, factorise, one_thread
+from multi_robot_slam.filter.hubs import cheapest_envelope
 from multi_robot_slam.filter.motion import wrap
 from multi_robot_slam.filter.smoothing_problem import Known, Problem
 
@@ -53,7 +56,7 @@ class Smoothed:
     landmarks: np.ndarray
     """(N, 9) float64: mean [m] and covariance [m^2] given the poses, `xx xy xz yy yz zz`."""
     factor: Factor
-    """Cholesky factor of the information (3 P, 3 P) of the poses, landmarks out."""
+    """Cholesky factor of the information of the poses and hubs, other landmarks out."""
     weights: np.ndarray
     """(O + S,) float64: robust weight of each observation and sighting, 0 to 1."""
     cost: float
@@ -82,7 +85,7 @@ def smooth(
 
     """
     poses = np.array(poses, float)
-    envelope = envelope_of(problem)
+    envelope = cheapest_envelope(problem)
     weights = np.ones(len(problem.positions) + len(problem.sighted.seen))
     landmarks, squared = landmarks_and_distances(problem, poses, weights)
     threshold = max(robust_above, squared.max(initial=0))
@@ -95,7 +98,7 @@ def smooth(
         is_fresh = length > NEAR
         if is_fresh:
             factor = factorise(envelope, _system(problem, poses, landmarks, weights, envelope))
-        step = -factor.solve_upper(factor.solve_lower(gradient))
+        step = -factor.solve_upper(factor.solve_lower(gradient))[: poses.size]
         before, length = length, np.sqrt(-gradient @ step)
         converged = bool(length < smallest_step and threshold <= robust_above)
         poses, landmarks, squared = _line_search(
@@ -114,12 +117,18 @@ def smooth(
 def landmark_deviations(
     problem: Problem, smoothed: Smoothed, wanted: np.ndarray | None = None
 ) -> np.ndarray:
-    """(A, 3, 3 P): how landmarks lean on the poses, Y_n = (dl_n/dx) L^-T; `wanted` (A,), else all.
+    """(A, 3, 3 U): how landmarks lean on the poses, Y_n = (dl_n/dx) L^-T; `wanted` (A,), else all.
 
     Y_i Y_j^T is the covariance that two landmarks share through the paths. A landmark's marginal
     covariance is Y_n Y_n^T plus the one given the poses.
     """
     wanted = np.arange(len(problem.ids)) if wanted is None else wanted
+    solved = smoothed.factor.solve_lower(landmark_leans(problem, smoothed, wanted).T)
+    return np.ascontiguousarray(solved.T).reshape(len(wanted), 3, smoothed.factor.size)
+
+
+def landmark_leans(problem: Problem, smoothed: Smoothed, wanted: np.ndarray) -> np.ndarray:
+    """(3 A, 3 P): dl/dx, how the best landmarks `wanted` (A,) follow the poses."""
     leans = np.zeros((len(wanted) * 3, smoothed.poses.size))
     kernels.add_leans(
         wanted,
@@ -130,8 +139,7 @@ def landmark_deviations(
         smoothed.landmarks,
         leans,
     )
-    solved = smoothed.factor.solve_lower(leans.T)
-    return np.ascontiguousarray(solved.T).reshape(len(wanted), 3, leans.shape[1])
+    return leans
 
 
 def settle(problem: Problem, smoothed: Smoothed, count: int) -> tuple[np.ndarray, Known]:
@@ -269,12 +277,15 @@ def _system(
 ) -> np.ndarray:
     """The envelope of H."""
     system = np.zeros(envelope.size)
-    target = (np.append(3 * envelope.place, -1), envelope.origins, system)
+    rows = 3 * envelope.place
+    hubs = np.full(len(problem.ids), -1)
+    hubs[envelope.hubs] = rows[len(poses) :]
+    target = (np.append(rows[: len(poses)], -1), envelope.origins, system)
     ends, _, jacobians = _links(problem, poses, weights)
     kernels.add_links(ends, jacobians, *target)
     information = problem.information * weights[: len(problem.positions), None]
     seen = (problem.starts, problem.seen_from, information)
-    kernels.add_observations(*seen, with_map(poses), landmarks, *target)
+    kernels.add_observations(*seen, with_map(poses), landmarks, hubs, *target)
     return system
 
 

@@ -1,7 +1,8 @@
 """The compiled sums of the smoothing along one path: landmarks, information of the poses, gradient.
 
 `poses` here have one row more than the problem has poses: zeros, the pose that MAP stands for. The
-system is an `Envelope`: `rows` give the row of each pose's x, `origins` where a row is in `system`.
+system is an `Envelope`: `rows` give the row of each pose's x, `hubs` that of each landmark's x, -1
+if it is eliminated, `origins` where a row is in `system`.
 """
 
 import numpy as np
@@ -192,8 +193,8 @@ def observation_gradient(starts, seen_from, positions, information, poses, landm
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def add_observations(starts, seen_from, information, poses, landmarks, rows, origins, system):
-    """Add the observations' part of H (lower triangle), landmarks out."""
+def add_observations(starts, seen_from, information, poses, landmarks, hubs, rows, origins, system):
+    """Add the observations' part of H (lower triangle), landmarks out that are no hubs."""
     roots = np.empty((len(seen_from), 3, 3))
     own = np.empty((3, 3))
     for n in range(len(landmarks)):
@@ -210,19 +211,60 @@ def add_observations(starts, seen_from, information, poses, landmarks, rows, ori
                 system[at] -= own[i, 0]
                 system[at + 1] -= own[i, 1]
                 system[at + 2] += own[i, 0] * q_y - own[i, 1] * q_x
-                for j in range(3):
-                    roots[o, i, j] = 0
-                    for k in range(j, 3):
-                        roots[o, i, j] += own[i, k] * root[k, j]
-        for o in range(first, starts[n + 1]):
-            for other in range(first, o + 1):
-                row, column = rows[seen_from[o]], rows[seen_from[other]]
-                if row < column:
-                    subtract_product(roots[other], roots[o], column, row, origins, system)
-                else:
-                    subtract_product(roots[o], roots[other], row, column, origins, system)
-                if row == column and other < o:
-                    subtract_product(roots[other], roots[o], row, row, origins, system)
+            if hubs[n] >= 0:
+                add_transposed(own, hubs[n], row, origins, system)
+            else:
+                multiply(own, root, roots[o])
+        if hubs[n] >= 0:
+            add_hub(landmarks[n], hubs[n], origins, system)
+        else:
+            subtract_pairs(roots, first, starts[n + 1], seen_from, rows, origins, system)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def multiply(a, lower, result):
+    """a (3, 3) times a lower triangle."""
+    for i in range(3):
+        for j in range(3):
+            result[i, j] = 0
+            for k in range(j, 3):
+                result[i, j] += a[i, k] * lower[k, j]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_transposed(own, row, column, origins, system):
+    """Add own^T (3, 3) to the block of `system` at `row`, `column`."""
+    for i in range(3):
+        for j in range(3):
+            system[origins[row + i] + column + j] += own[j, i]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_hub(landmark, row, origins, system):
+    """Add a hub's own information."""
+    (xx, xy, xz, yy, yz, zz), _ = inverse(
+        landmark[3], landmark[4], landmark[5], landmark[6], landmark[7], landmark[8]
+    )
+    system[origins[row] + row] += xx
+    system[origins[row + 1] + row] += xy
+    system[origins[row + 1] + row + 1] += yy
+    system[origins[row + 2] + row] += xz
+    system[origins[row + 2] + row + 1] += yz
+    system[origins[row + 2] + row + 2] += zz
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def subtract_pairs(roots, first, last, seen_from, rows, origins, system):
+    """Eliminate a landmark: subtract the product of the `roots` of any two of its observations."""
+    for o in range(first, last):
+        for other in range(first, o + 1):
+            row, column = rows[seen_from[o]], rows[seen_from[other]]
+            if row < column:
+                subtract_product(roots[other], roots[o], column, row, origins, system)
+            else:
+                subtract_product(roots[o], roots[other], row, column, origins, system)
+            if row == column and other < o:
+                subtract_product(roots[other], roots[o], row, row, origins, system)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -16,11 +16,11 @@ float32 is enough. Compared with the density of the Gaussian it gives each path'
 import numpy as np
 from numba import njit
 
-from multi_robot_slam.filter import parallel
+from multi_robot_slam.filter import parallel, stereo
 from multi_robot_slam.filter.envelope import one_thread
 from multi_robot_slam.filter.kernels import BLOCK
-from multi_robot_slam.filter.smoothing import Smoothed
-from multi_robot_slam.filter.smoothing_kernels import inverse
+from multi_robot_slam.filter.smoothing import Smoothed, landmark_leans
+from multi_robot_slam.filter.smoothing_kernels import inverse, inverses
 from multi_robot_slam.filter.smoothing_problem import Problem
 
 COS, SIN, X, Y = range(4)
@@ -37,15 +37,38 @@ LOGARITHM_EVERY = 16
 
 
 @one_thread
-def draw(smoothed: Smoothed, normals: np.ndarray) -> np.ndarray:
-    """Whole paths (P, 3, M) from the Gaussian around the optimum; `normals` (3 P, M) standard.
+def draw(
+    problem: Problem, smoothed: Smoothed, normals: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Whole paths (P, 3, M) from the Gaussian around the optimum, and their log densities (M,).
 
-    Normals of float32 take half the time and move a path by a ten thousandth of its deviation.
-    With H = L L^T the rows of L^-T times standard normal numbers have the covariance H^-1. The
-    logarithm of a path's density is -1/2 the sum of its squared `normals`, up to a constant.
+    With H = L L^T the rows of L^-T times standard normal numbers n have the covariance H^-1, and
+    the logarithm of the density of poses x and hubs together is -1/2 n^T n. That of the hubs given
+    the poses is taken off it:
+
+        log q(x) = -1/2 (n^T n - sum_h r_h^T Lambda_h r_h),   r_h = l_h - (l_h at the optimum
+                                                                        + dl_h/dx (x - x_hat))
+
+    Parameters
+    ----------
+    normals : (`smoothed.factor.size`, M) standard normal numbers. Those of float32 take half the
+        time and move a path by a ten thousandth of its deviation.
+
+    Returns
+    -------
+    The paths, and log q float64, up to a constant.
+
     """
     deviations = smoothed.factor.solve_upper(normals)
-    return smoothed.poses[:, :, None] + deviations.reshape(-1, 3, normals.shape[1])
+    of_poses, of_hubs = np.split(deviations, [smoothed.poses.size])
+    hubs = smoothed.factor.envelope.hubs
+    leans = landmark_leans(problem, smoothed, hubs).astype(normals.dtype, copy=False)
+    apart = (of_hubs - leans @ of_poses).reshape(len(hubs), 3, -1)
+    information = stereo.unpack(inverses(smoothed.landmarks[hubs, 3:]))
+    squared = np.square(normals, dtype=float).sum(axis=0)
+    squared -= np.sum(apart * (information @ apart), axis=(0, 1))
+    paths = smoothed.poses[:, :, None] + of_poses.reshape(-1, 3, normals.shape[1])
+    return paths, -0.5 * squared
 
 
 def landmarks_given_paths(

@@ -1,0 +1,1 @@
+"""Recordings in other formats -> bags of this project's topics."""

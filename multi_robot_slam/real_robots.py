@@ -1,0 +1,230 @@
+"""How well a team of real robots is located: set-ups x proposals x seeds -> table.
+
+A recording with known truth (`convert.mrclam`) is estimated by the team together, with and without
+the robots' sightings of each other, and by each robot alone. A robot alone drifts with its map as a
+whole, so it is judged after alignment, too.
+"""
+
+import csv
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+import numpy as np
+
+from msg_defs.types import LandmarkMap
+from multi_robot_slam import evaluation, offline, refinement, runs
+from multi_robot_slam.config import Config
+from multi_robot_slam.convert import bag, mrclam
+from multi_robot_slam.pipeline import Pipeline
+from multi_robot_slam.trajectory_errors import alignment, rmse, rotation
+
+SIGHTINGS, LANDMARKS, ALONE = "together, sightings", "together", "alone"
+SETUPS = (SIGHTINGS, LANDMARKS, ALONE)
+PROPOSALS = ("informed", "motion")
+TEAM = "team"
+RATE_HZ = 1.0
+"""Frames of each robot: at 2 and 4 Hz the same readings, correlated as they are, tell no more."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """One run of the filter over the bag."""
+
+    bag: Path
+    config: Config
+    setup: str
+    with_batch: bool
+    """The yardstick is that of the recording and the same for all seeds: one run computes it."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """Figures of one robot in one run, or of the whole team."""
+
+    setup: str
+    proposal: str
+    robot: str
+    seed: int
+    particles: int
+    odometry_path_rmse_m: float
+    online_path_rmse_m: float
+    online_path_aligned_rmse_m: float
+    online_heading_rmse_rad: float
+    online_mean_path_rmse_m: float
+    path_rmse_m: float
+    mean_path_rmse_m: float
+    refined_path_rmse_m: float
+    refined_path_aligned_rmse_m: float
+    batch_path_rmse_m: float | None
+    batch_path_aligned_rmse_m: float | None
+    landmark_rmse_m: float
+    landmark_aligned_rmse_m: float
+    refined_landmark_rmse_m: float
+    rejected: int
+    """Observations outside the gate of what they look like."""
+    ghosts: int
+    """Landmarks beyond the first of each true one."""
+
+
+def study(
+    folder: Path,
+    out: Path,
+    seeds: int,
+    particles: int,
+    execute: Callable[[Callable[[Job], list[Row]], list[Job]], Iterator[tuple[Job, list[Row]]]],
+    on_progress: Callable[[int, int], None] = lambda done, total: None,
+) -> list[Row]:
+    """All rows, in a fixed order; the recording in `folder` becomes the new bag `out`/bag."""
+    path = out / "bag"
+    bag.write(mrclam.read(folder), path, RATE_HZ)
+    jobs = plan(path, offline.recorded_config(path), seeds, particles)
+    rows = []
+    for done, (_, answer) in enumerate(execute(compute, jobs), start=1):
+        rows += answer
+        on_progress(done, len(jobs))
+    places = {setup: place for place, setup in enumerate(SETUPS)}
+    return sorted(rows, key=lambda row: (places[row.setup], row.proposal, row.robot, row.seed))
+
+
+def plan(path: Path, config: Config, seeds: int, particles: int) -> list[Job]:
+    """Every run of the study."""
+    jobs = []
+    for seed in range(seeds):
+        for proposal in PROPOSALS:
+            filter_settings = replace(
+                config.filter, proposal=proposal, particles=particles, threads=1
+            )
+            own = replace(config, seed=seed, filter=filter_settings)
+            teams = [(SIGHTINGS, own), (LANDMARKS, replace(own, sightings=False))]
+            teams += [(ALONE, _alone(own, robot)) for robot in range(len(own.robots))]
+            with_batch = seed == 0 and proposal == PROPOSALS[0]
+            jobs += [Job(path, team, setup, with_batch) for setup, team in teams]
+    return jobs
+
+
+def _alone(config: Config, robot: int) -> Config:
+    return replace(
+        config,
+        robots=(config.robots[robot],),
+        start_poses=(config.start_poses[robot],),
+        sightings=False,
+    )
+
+
+def compute(job: Job) -> list[Row]:
+    """Run the filter over the bag, refine, and judge."""
+    pipeline = Pipeline(job.config)
+    steps = []
+    for event in offline.events(job.bag, job.config):
+        steps += pipeline.handle(event)
+    steps += pipeline.finish()
+    recorded = runs.recorded(job.bag, job.config.robots)
+    paths, landmarks = pipeline.trajectories(), pipeline.landmark_map()
+    run = runs.assemble(job.config, recorded, steps, paths, landmarks, pipeline.dropped)
+    lineage = pipeline.lineage()
+    refined = refinement.refine(lineage, landmarks, job.config)
+    run = run.with_paths(mean=pipeline.mean_trajectories(), refined=refined.paths)
+    run = replace(run, refined_landmarks=refined.landmarks)
+    if job.with_batch:
+        run = refinement.with_yardstick(run, lineage)
+    return rows_of(run, job.setup)
+
+
+def rows_of(run: runs.Run, setup: str) -> list[Row]:
+    """A row for each robot, and one for a team of several."""
+    result = evaluation.evaluate(run)
+    frames = [frame for step in run.steps for frame in step.frames]
+    places = {
+        "landmark_rmse_m": rmse(landmark_errors(run.landmarks, run.true_landmarks)),
+        "landmark_aligned_rmse_m": rmse(
+            landmark_errors(run.landmarks, run.true_landmarks, is_aligned=True)
+        ),
+        "refined_landmark_rmse_m": rmse(landmark_errors(run.refined_landmarks, run.true_landmarks)),
+        "rejected": sum(int(frame.is_rejected.sum()) for frame in frames),
+        "ghosts": result["duplicates"],
+    }
+    own = {"setup": setup, "proposal": run.config.filter.proposal, "seed": run.config.seed}
+    own |= {"particles": run.config.filter.particles} | places
+    figures = result["robots"] | ({TEAM: result} if len(run.robots) > 1 else {})
+    names = [field.name for field in fields(Row) if field.name not in {*own, "robot"}]
+    return [
+        Row(robot=robot, **own, **{name: values[name] for name in names})
+        for robot, values in figures.items()
+    ]
+
+
+def landmark_errors(
+    estimated: LandmarkMap, true: LandmarkMap, is_aligned: bool = False
+) -> np.ndarray:
+    """(A, 2) [m]: of each true landmark the most observed estimated one with its identity.
+
+    True landmarks that were not found are left out. `is_aligned`: after turning and shifting the
+    estimated ones to lie closest to the true ones.
+    """
+    likeness = estimated.descriptors @ true.descriptors.T
+    counts = np.where(likeness > 0.5, estimated.observations[:, None].astype(float), -1.0)
+    found = np.flatnonzero(counts.max(axis=0, initial=-1.0) > 0)
+    places = estimated.positions[counts[:, found].argmax(axis=0), :2].astype(float)
+    wanted = true.positions[found, :2].astype(float)
+    if is_aligned:
+        angle, shift = alignment(places, wanted)
+        places = places @ rotation(angle).T + shift
+    return places - wanted
+
+
+def write(rows: list[Row], folder: Path) -> None:
+    """`real.csv`, a row a robot and run, and `real.md`, mean and deviation over seeds."""
+    names = [field.name for field in fields(Row)]
+    with (folder / "real.csv").open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(names)
+        writer.writerows([_plain(getattr(row, name)) for name in names] for row in rows)
+    (folder / "real.md").write_text(markdown(rows))
+
+
+COLUMNS = {
+    "odometry_path_rmse_m": "odometry",
+    "online_path_rmse_m": "published",
+    "online_mean_path_rmse_m": "published mean",
+    "online_path_aligned_rmse_m": "published, aligned",
+    "online_heading_rmse_rad": "heading [rad]",
+    "mean_path_rmse_m": "mean path",
+    "refined_path_rmse_m": "refined",
+    "refined_path_aligned_rmse_m": "refined, aligned",
+    "batch_path_rmse_m": "yardstick",
+    "batch_path_aligned_rmse_m": "yardstick, aligned",
+    "landmark_rmse_m": "landmarks",
+    "landmark_aligned_rmse_m": "landmarks, aligned",
+    "refined_landmark_rmse_m": "landmarks, refined",
+    "rejected": "rejected",
+    "ghosts": "ghosts",
+}
+"""Figures of the table, RMS errors in metres but where it says otherwise."""
+
+
+def markdown(rows: list[Row]) -> str:
+    """A table of mean ± standard deviation over the seeds, for each set-up, proposal and robot."""
+    head = ("set-up", "proposal", "robot", *COLUMNS.values())
+    lines = ["| " + " | ".join(head) + " |", "|---|---|---|" + "---:|" * len(COLUMNS)]
+    groups: dict[tuple[str, str, str], list[Row]] = {}
+    for row in rows:
+        groups.setdefault((row.setup, row.proposal, row.robot), []).append(row)
+    for key, group in groups.items():
+        cells = [_cell([getattr(row, name) for row in group]) for name in COLUMNS]
+        lines.append("| " + " | ".join([*key, *cells]) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def _cell(values: list[float | None]) -> str:
+    known = np.array([value for value in values if value is not None], float)
+    if not len(known):
+        return "-"
+    form = ".0f" if all(isinstance(value, int) for value in values) else ".3f"
+    return (
+        f"{known.mean():{form}} ± {known.std():{form}}" if len(known) > 1 else f"{known[0]:{form}}"
+    )
+
+
+def _plain(value: object) -> object:
+    return f"{value:.6g}" if isinstance(value, float) else value
