@@ -1,34 +1,51 @@
-"""How close the filter comes to the best possible answer: particles x proposals x seeds -> table.
+"""How close the filter comes to the best possible answer: particles x filters x seeds -> table.
 
-The yardstick is batch least squares with the true associations on the same run. All ratios are of
-path RMS errors to its path RMS error.
+The yardstick is batch least squares with the true associations on the same run, and for the poses
+as published the same over what was known at each instant. All ratios are of RMS errors of position.
 """
 
 import csv
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields, replace
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import astuple, dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
 
 from msg_defs import settings
-from multi_robot_slam import evaluation, experiments, refinement
+from msg_defs.errors import InputError
+from msg_defs.types import Trajectory
+from multi_robot_slam import evaluation, experiments, filtering_optimum, refinement
 from multi_robot_slam.config import SECTION, Config
 from multi_robot_slam.experiments import Base, Exploration
+from multi_robot_slam.filter.rbpf import FilterSettings
 from multi_robot_slam.pipeline import Pipeline
+from multi_robot_slam.runs import Run
+from multi_robot_slam.trajectory_errors import at, rmse
 from sim_world.scenario import SECTION as WORLD_SECTION
 from sim_world.scenario import Scenario
 
 TEAMS = (1, 2, 3)
-PARTICLES = (10, 100, 500, 2000)
-PROPOSALS = ("motion", "informed")
+REJUVENATED = "rejuvenated"
+PARTICLES = {
+    "motion": (10, 100, 500, 2000),
+    "informed": (10, 100, 500, 2000),
+    REJUVENATED: (100, 500),
+}
+"""Of the two proposals without rejuvenation, and of the scenario's filter with it.
+
+Drawing 2000 whole paths again and again would take longer than all the rest.
+"""
+
+OPTIMUM_EVERY = 10
+"""Steps between two instants at which the filtering optimum is computed."""
 
 
 @dataclass(frozen=True)
 class Row:
     """Figures of one run."""
 
-    proposal: str
+    filter: str
     robots: int
     particles: int
     seed: int
@@ -38,70 +55,150 @@ class Row:
     mean_path_rmse_m: float
     refined_path_rmse_m: float
     online_path_rmse_m: float
+    optimum_ratio: float
+    """RMS error of the poses as published over that of the filtering optimum, at its instants."""
     association_precision: float
     association_recall: float
     pose_nees: float
     landmark_nees: float
     ancestors: int
     """Distinct ancestors at a tenth of the run, of the particles at its end."""
+    step_ms_mean: float
+    step_ms_max: float
+
+
+HEADER = tuple(field.name for field in fields(Row))
+Key = tuple[str, int, int, int]
+"""Filter, robots, particles, seed: the first columns."""
 
 
 @dataclass(frozen=True)
 class Job:
-    """One exploration, estimated by every filter."""
+    """One exploration, and the runs over it."""
 
+    base: Base
     robots: int
     seed: int
-    particles: tuple[int, ...]
-    resample_below: float
+    runs: tuple[tuple[str, int], ...]
+    """Filter and particles of each."""
+
+
+def calibrated(resample_below: float = 0.5, rest: int | None = None) -> Base:
+    """The calibrated scenario, and the filters that are compared in it, one thread each.
+
+    `rest` replaces that of the scenario's rejuvenation.
+    """
+    path = settings.find_scenario("calibrated")
+    own = settings.from_file(Config, path, SECTION).filter
+    own = replace(own, threads=1, resample_below=resample_below)
+    often = own.rejuvenation if rest is None else replace(own.rejuvenation, rest=rest)
+    never = replace(own.rejuvenation, ancestors_below=0.0)
+    filters = {p: replace(own, proposal=p, rejuvenation=never) for p in ("motion", "informed")}
+    filters[REJUVENATED] = replace(own, rejuvenation=often)
+    return Base(settings.from_file(Scenario, path, WORLD_SECTION), filters)
+
+
+def filters_of(names: str) -> tuple[str, ...]:
+    """Filters from text such as informed,rejuvenated."""
+    chosen = tuple(dict.fromkeys(names.split(",")))
+    if unknown := [name for name in chosen if name not in PARTICLES]:
+        raise InputError(f"no filter '{unknown[0]}'; there are {', '.join(PARTICLES)}")
+    return chosen
 
 
 def study(
+    folder: Path,
+    base: Base,
     repeats: int,
-    particles: tuple[int, ...],
-    resample_below: float,
+    particles: Mapping[str, Sequence[int]],
     execute: Callable[[Callable[[Job], list[Row]], list[Job]], Iterator[tuple[Job, list[Row]]]],
     on_progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> list[Row]:
-    """All rows, in a fixed order."""
-    jobs = [
-        Job(robots, seed, particles, resample_below) for robots in TEAMS for seed in range(repeats)
+    """Bring `folder/accuracy.csv` to hold the runs of every filter in `particles`, seeds 0 on.
+
+    Rows it has are not computed again. Returns the rows asked for, in a fixed order, which
+    `folder/accuracy.md` summarises.
+    """
+    experiments.claim(folder, base)
+    path = folder / "accuracy.csv"
+    known = {_key(row): row for row in read(path)}
+    write(path, known.values())
+    wanted = [
+        (name, robots, count, seed)
+        for name in particles
+        for robots in TEAMS
+        for count in particles[name]
+        for seed in range(repeats)
     ]
-    rows = []
-    for done, (_, answer) in enumerate(execute(compute, jobs), start=1):
-        rows += answer
+    jobs = _jobs(base, [key for key in wanted if key not in known])
+    on_progress(0, len(jobs))
+    for done, (_, rows) in enumerate(execute(compute, jobs) if jobs else (), start=1):
+        append(path, rows)
+        known |= {_key(row): row for row in rows}
         on_progress(done, len(jobs))
-    return sorted(rows, key=lambda row: (row.proposal, row.robots, row.particles, row.seed))
+    write(path, [known[key] for key in sorted(known)])
+    rows = [known[key] for key in sorted(wanted)]
+    (folder / "accuracy.md").write_text(markdown(rows))
+    return rows
+
+
+def _key(row: Row) -> Key:
+    return astuple(row)[:4]
+
+
+def _jobs(base: Base, keys: list[Key]) -> list[Job]:
+    """The runs by exploration."""
+    jobs = {}
+    for name, robots, count, seed in keys:
+        jobs.setdefault((robots, seed), []).append((name, count))
+    return [Job(base, *exploration, tuple(runs)) for exploration, runs in jobs.items()]
 
 
 def compute(job: Job) -> list[Row]:
-    """Simulate a team in the calibrated scenario, and estimate with every filter."""
-    path = settings.find_scenario("calibrated")
-    world = settings.from_file(Scenario, path, WORLD_SECTION)
-    own = settings.from_file(Config, path, SECTION).filter
-    own = replace(own, threads=1, resample_below=job.resample_below)
-    base = Base(replace(world, robots=job.robots), {p: replace(own, proposal=p) for p in PROPOSALS})
-    trial = experiments.usual(base, job.robots, PROPOSALS[0], job.seed)
+    """Simulate the team, and estimate with every filter."""
+    base = replace(job.base, scenario=replace(job.base.scenario, robots=job.robots))
+    trial = experiments.usual(base, job.robots, "informed", job.seed)
     exploration = experiments.explore(base, trial)
+    anyone, pipeline = experiments.estimate(
+        exploration, replace(base.filters["informed"], particles=1)
+    )
+    optimum = filtering_optimum.poses(
+        pipeline.lineage(), anyone.observation_truth, anyone.config, OPTIMUM_EVERY
+    )
     return [
-        _row(exploration, base, proposal, count)
-        for proposal in PROPOSALS
-        for count in job.particles
+        _row(exploration, optimum, name, replace(base.filters[name], particles=count))
+        for name, count in job.runs
     ]
 
 
-def _row(exploration: Exploration, base: Base, proposal: str, particles: int) -> Row:
-    filter_settings = replace(base.filters[proposal], particles=particles)
+def _row(
+    exploration: Exploration,
+    optimum: Mapping[str, Trajectory],
+    name: str,
+    filter_settings: FilterSettings,
+) -> Row:
     run, pipeline = experiments.estimate(exploration, filter_settings)
     figures = evaluation.evaluate(refinement.complete(run, pipeline, with_refined=True))
     own = {
-        "proposal": proposal,
+        "filter": name,
         "robots": len(run.robots),
-        "particles": particles,
+        "particles": filter_settings.particles,
         "seed": exploration.seed,
+        "optimum_ratio": optimum_ratio(run, optimum),
         "ancestors": _early_ancestors(pipeline),
     }
-    return Row(**own, **{f.name: figures[f.name] for f in fields(Row) if f.name not in own})
+    return Row(**own, **{column: figures[column] for column in HEADER if column not in own})
+
+
+def optimum_ratio(run: Run, optimum: Mapping[str, Trajectory]) -> float:
+    """RMS error of position of the published poses over that of the `optimum`, at its stamps."""
+    published, best = [], []
+    for name, path in optimum.items():
+        robot = run.robots[name]
+        truth = at(robot.truth, path.stamps_ns)[:, :2]
+        published.append(at(robot.online, path.stamps_ns)[:, :2] - truth)
+        best.append(path.poses[:, :2] - truth)
+    return rmse(np.concatenate(published)) / rmse(np.concatenate(best))
 
 
 def _early_ancestors(pipeline: Pipeline) -> int:
@@ -109,25 +206,56 @@ def _early_ancestors(pipeline: Pipeline) -> int:
     return int(counts[len(counts) // 10])
 
 
-def write(rows: list[Row], folder: Path) -> None:
-    """`accuracy.csv`, a row a run, and `accuracy.md`, mean and standard deviation over seeds."""
-    folder.mkdir(parents=True, exist_ok=True)
-    names = [field.name for field in fields(Row)]
-    with (folder / "accuracy.csv").open("w", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(names)
-        writer.writerows([_plain(getattr(row, name)) for name in names] for row in rows)
-    (folder / "accuracy.md").write_text(markdown(rows))
+def read(path: Path) -> list[Row]:
+    """The rows of the table at `path`, none if it does not exist; a last line cut off is left."""
+    try:
+        text = path.read_text()
+    except FileNotFoundError:
+        return []
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"cannot read {path}: {error}") from None
+    lines = list(csv.reader(text.splitlines(keepends=True)))
+    if lines[:1] != [list(HEADER)]:
+        raise InputError(f"{path} has other columns than this version writes; use another --out")
+    whole = lines[1:] if text.endswith("\n") else lines[1:-1]
+    return [_parsed(path, cells) for cells in whole]
 
 
-def markdown(rows: list[Row]) -> str:
-    """The table of `docs/results.md`: mean ± standard deviation over the seeds, NEES the median.
+def _parsed(path: Path, cells: list[str]) -> Row:
+    try:
+        return Row(*(f.type(c) for f, c in zip(fields(Row), cells, strict=True)))
+    except ValueError:
+        raise InputError(f"{path}: '{','.join(cells)}' is no row of it; remove it") from None
 
-    The NEES of a particle set that has collapsed to a point is beyond all bounds, so its mean over
-    seeds would say nothing.
+
+def write(path: Path, rows: Sequence[Row]) -> None:
+    """Write the whole table in place of the old one."""
+    new = path.with_suffix(".new")
+    new.write_text("".join([_line(HEADER), *map(_line, map(astuple, rows))]))
+    os.replace(new, path)
+
+
+def append(path: Path, rows: Sequence[Row]) -> None:
+    """Add rows to the table, at once and for good."""
+    with path.open("a") as file:
+        file.writelines(map(_line, map(astuple, rows)))
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _line(cells: Sequence[object]) -> str:
+    return ",".join(f"{c:.6g}" if isinstance(c, float) else str(c) for c in cells) + "\n"
+
+
+def markdown(rows: Sequence[Row]) -> str:
+    """The table of `docs/results.md`: mean ± standard deviation over the seeds.
+
+    NEES is the mean over the seeds where particles are rejuvenated, and the median elsewhere: that
+    of a particle set that has collapsed to a point is beyond all bounds, and its mean would say
+    nothing.
     """
     head = (
-        "proposal",
+        "filter",
         "K",
         "M",
         "yardstick [m]",
@@ -136,15 +264,16 @@ def markdown(rows: list[Row]) -> str:
         "mean",
         "refined",
         "published",
+        "published / optimum",
         "recall",
         "pose NEES",
         "landmark NEES",
         "ancestors",
     )
     lines = ["| " + " | ".join(head) + " |", "|---|" + "---:|" * (len(head) - 1)]
-    groups = {(row.proposal, row.robots, row.particles): [] for row in rows}
+    groups = {}
     for row in rows:
-        groups[row.proposal, row.robots, row.particles].append(row)
+        groups.setdefault((row.filter, row.robots, row.particles), []).append(row)
     for key, group in groups.items():
         lines.append("| " + " | ".join([*map(str, key), *_cells(group)]) + " |")
     return "\n".join(lines) + "\n"
@@ -152,26 +281,22 @@ def markdown(rows: list[Row]) -> str:
 
 def _cells(group: list[Row]) -> list[str]:
     batch = _column(group, "batch_path_rmse_m")
-    ratios = ("odometry", "", "mean", "refined", "online")
-    names = [f"{ratio}_path_rmse_m".removeprefix("_") for ratio in ratios]
+    kinds = ("odometry_", "", "mean_", "refined_", "online_")
+    centre = np.mean if group[0].filter == REJUVENATED else np.median
     return [
         _spread(batch, ".3f"),
-        *(_spread(_column(group, name) / batch, ".2f") for name in names),
+        *(_spread(_column(group, f"{kind}path_rmse_m") / batch, ".2f") for kind in kinds),
+        _spread(_column(group, "optimum_ratio"), ".2f"),
         _spread(_column(group, "association_recall"), ".3f"),
-        f"{np.nanmedian(_column(group, 'pose_nees')):.3g}",
-        f"{np.nanmedian(_column(group, 'landmark_nees')):.3g}",
+        f"{centre(_column(group, 'pose_nees')):.3g}",
+        f"{centre(_column(group, 'landmark_nees')):.3g}",
         _spread(_column(group, "ancestors"), ".1f"),
     ]
 
 
 def _column(group: list[Row], name: str) -> np.ndarray:
-    values = [getattr(row, name) for row in group]
-    return np.array([np.nan if value is None else value for value in values], float)
+    return np.array([getattr(row, name) for row in group], float)
 
 
 def _spread(values: np.ndarray, form: str) -> str:
-    return f"{np.nanmean(values):{form}} ± {np.nanstd(values):{form}}"
-
-
-def _plain(value: object) -> object:
-    return f"{value:.6g}" if isinstance(value, float) else value
+    return f"{values.mean():{form}} ± {values.std():{form}}"

@@ -171,30 +171,49 @@ def export(
 @app.command()
 def accuracy(
     repeats: Annotated[int, typer.Option(min=1, help="Seeds of each team.")] = 20,
+    filters: Annotated[
+        str, typer.Option(help="Which filters, with commas between.")
+    ] = "motion,informed,rejuvenated",
     particles: Annotated[
-        str, typer.Option(help="Numbers of particles, with commas between.")
-    ] = "10,100,500,2000",
+        str | None,
+        typer.Option(
+            help="Numbers of particles, with commas between, of every filter. "
+            "Default: 10,100,500,2000, and 100,500 of the rejuvenated one."
+        ),
+    ] = None,
     resample_below: Annotated[
         float, typer.Option(min=0, max=1, help="Share of effective particles to resample below.")
     ] = 0.5,
-    out: Annotated[Path, typer.Option(help="Folder to write.")] = Path("runs/accuracy"),
+    rest: Annotated[
+        int | None,
+        typer.Option(min=1, help="Fewest steps between two rejuvenations, if not the scenario's."),
+    ] = None,
+    out: Annotated[
+        Path, typer.Option(help="Folder of the table; rows it has are not computed again.")
+    ] = Path("runs/accuracy"),
 ) -> None:
     """How close filter and refinement come to least squares with the true associations.
 
-    Prints and writes mean and spread over seeds, for 1 to 3 robots and both proposals.
+    Prints and writes mean and spread over seeds, for 1 to 3 robots in the calibrated scenario:
+    the paper's proposal (motion), the informed one, and the informed one with rejuvenation. Rows
+    are written as they finish: an interrupted study goes on where it stopped.
     """
     from multi_robot_slam import accuracy, experiments, scheduling
 
+    chosen = {name: accuracy.PARTICLES[name] for name in accuracy.filters_of(filters)}
+    if particles is not None:
+        chosen = dict.fromkeys(chosen, experiments.particle_numbers(particles))
+    base = accuracy.calibrated(resample_below, rest)
     with _progress() as progress:
         task = progress.add_task("explorations", total=None)
         rows = accuracy.study(
+            out,
+            base,
             repeats,
-            experiments.particle_numbers(particles),
-            resample_below,
+            chosen,
             scheduling.local,
             lambda done, total: progress.update(task, completed=done, total=total),
         )
-    accuracy.write(rows, out)
     typer.echo(accuracy.markdown(rows))
 
 

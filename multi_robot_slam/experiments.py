@@ -291,7 +291,7 @@ def run(
 
     `on_progress` is told the share of the work that is done, and all of it.
     """
-    _claim(folder, base)
+    claim(folder, base)
     path = folder / "table.csv"
     rows = experiment_table.read(path)
     known = {trial: result for (_, trial), result in rows.items()}
@@ -315,7 +315,7 @@ def run(
     return experiment_table.read(path)
 
 
-def _claim(folder: Path, base: Base) -> None:
+def claim(folder: Path, base: Base) -> None:
     """Make the folder, or make sure that its rows come from the same settings."""
     sections = {WORLD_SECTION: base.scenario, **base.filters}
     text, path = settings.to_yaml(**sections), folder / "settings.yaml"

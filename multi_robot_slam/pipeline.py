@@ -123,7 +123,7 @@ class Pipeline:
         return steps
 
     def landmark_map(self) -> LandmarkMap:
-        """The best particle's map (17); where it draws, what all particles make of its landmarks."""
+        """The best particle's map (17); where it draws, what all make of its landmarks."""
         state, landmarks = self._state, self._state.landmarks
         best = rbpf.best_particle(state)
         columns, values = landmarks.of_particle(best)

@@ -14,12 +14,12 @@ import numpy as np
 from multi_robot_slam.filter.envelope import TILE, Envelope, envelope_of
 from multi_robot_slam.filter.smoothing_problem import Problem
 
-PAIR = 300
+PAIR = 400
 """Multiplications of the factorisation that take as long as adding one pair of observations."""
 
 
 def cheapest_envelope(problem: Problem) -> Envelope:
-    """With those hubs that cost least: none, or the landmarks seen over more than a half, ..."""
+    """With those hubs that cost least: none, or the landmarks seen over many of the poses."""
     return min(
         (envelope_of(problem, hubs) for hubs in _candidates(problem)),
         key=lambda envelope: _cost(problem, envelope),
@@ -27,7 +27,7 @@ def cheapest_envelope(problem: Problem) -> Envelope:
 
 
 def _candidates(problem: Problem) -> Iterator[np.ndarray]:
-    """No hubs, then the landmarks seen over more than 1/2, 1/4, 1/8, ... of the poses."""
+    """No hubs, then the landmarks seen over more than 1/2, 1/8, 1/32, ... of the poses."""
     hubs = np.empty(0, np.int64)
     yield hubs
     spans, limit = _spans(problem), len(problem.robots) // 2
@@ -35,7 +35,7 @@ def _candidates(problem: Problem) -> Iterator[np.ndarray]:
         before, hubs = hubs, np.flatnonzero(spans > limit)
         if len(hubs) > len(before):
             yield hubs
-        limit //= 2
+        limit //= 4
 
 
 def _spans(problem: Problem) -> np.ndarray:

@@ -36,6 +36,12 @@ class MotionSettings:
     yaw_per_sqrt_s: Annotated[
         float, Ge(0), "standard deviation of the heading after 1 s [rad/sqrt(s)]"
     ] = 0.0
+    scale_sigma: Annotated[
+        float,
+        Ge(0),
+        "standard deviation of unknown factors of each robot's distances and turns, around 1; they "
+        "are estimated by smoothing; 0: the odometry has none",
+    ] = 0.0
 
 
 def increment(previous: np.ndarray, current: np.ndarray) -> np.ndarray:

@@ -28,6 +28,7 @@ from multi_robot_slam.filter import (
 from multi_robot_slam.filter.history import History
 from multi_robot_slam.filter.landmarks import Landmarks
 from multi_robot_slam.filter.motion import MotionSettings
+from multi_robot_slam.filter.odometry_scale import Scales, scaled
 from multi_robot_slam.filter.rejuvenation import Associations, Rejuvenated, RejuvenationSettings
 from multi_robot_slam.filter.state import State, resample
 
@@ -122,6 +123,7 @@ def init(start_poses: np.ndarray, settings: FilterSettings, dtype: type = np.flo
         log_weights=np.zeros(count),
         log_weight_sum=np.zeros(count),
         history=History(count),
+        scales=Scales.unknown(len(start_poses), settings.motion.scale_sigma),
     )
 
 
@@ -193,7 +195,7 @@ def propose_by_motion(
         poses = state.poses[frame.robot]
         sigma = motion.standard_deviations(frame.motion, frame.seconds, settings.motion)
         noise = sigma[:, None] * rng.standard_normal(poses.shape)
-        motion.move(poses, frame.motion[:, None] + noise)
+        motion.move(poses, scaled(frame.motion, state.scales.factors[frame.robot])[:, None] + noise)
     certain = np.zeros((len(frames), 6, settings.particles))
     _, sighted = _look_at_each_other(state, frames, certain, settings, mount)
     return [
@@ -243,7 +245,7 @@ def propose_informed(
     priors = np.empty((len(frames), 6, settings.particles), state.landmarks.planes.dtype)
     for frame, prior in zip(frames, priors, strict=True):
         poses = state.poses[frame.robot]
-        motion.move(poses, frame.motion[:, None])
+        motion.move(poses, scaled(frame.motion, state.scales.factors[frame.robot])[:, None])
         spread = motion.spread(frame.motion, frame.seconds, settings.motion).astype(prior.dtype)
         informed.spread_in_map(_as_seen(poses, prior.dtype), spread, prior)
     joint, sighted = _look_at_each_other(state, frames, priors, settings, mount)

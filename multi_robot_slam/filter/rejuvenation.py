@@ -29,6 +29,7 @@ from msg_defs.types import CameraMount, settings
 from multi_robot_slam.filter import joining, resampling, smoothing, whole_paths
 from multi_robot_slam.filter.history import Past, Record
 from multi_robot_slam.filter.motion import MotionSettings
+from multi_robot_slam.filter.odometry_scale import learn
 from multi_robot_slam.filter.smoothing import Smoothed
 from multi_robot_slam.filter.smoothing_problem import Problem, problem_of
 from multi_robot_slam.filter.state import Settled, State, resample
@@ -197,7 +198,7 @@ def _draw(
     """Smooth the history `members` share, and draw a path for each; the first is the optimum."""
     records, poses, identities = _past(state, members)
     problem, smoothed, heirs = _smooth(
-        state.settled, records, poses, identities, alike, associations
+        state.scales.factors, state.settled, records, poses, identities, alike, associations
     )
     normals = rng.standard_normal((smoothed.factor.size, len(members)), np.float32)
     normals[:, 0] = 0
@@ -245,6 +246,7 @@ def _past(state: State, members: np.ndarray) -> tuple[list[Record], np.ndarray, 
 
 
 def _smooth(
+    factors: np.ndarray,
     settled: Settled,
     records: list[Record],
     poses: np.ndarray,
@@ -262,6 +264,7 @@ def _smooth(
             associations.motion,
             associations.mount,
             settled.known._replace(ids=heirs.of(settled.known.ids)),
+            factors,
         )
         smoothed = smoothing.smooth(problem, poses, associations.robust_above, NEAR_ENOUGH)
         pairs = heirs.of(alike)
@@ -299,5 +302,9 @@ def _settle(state: State, drawn: Drawn, window: int) -> None:
         first -= 1
     for record in records[: settled.count]:
         record.matches = drawn.heirs.of(record.matches)
-    start_poses, known = smoothing.settle(drawn.problem, drawn.smoothed, first - settled.count)
+    count = first - settled.count
+    motions = np.array([record.motion for record in records[settled.count :]])
+    share = count / len(motions)
+    state.scales = learn(state.scales, drawn.problem, drawn.smoothed, motions, share)
+    start_poses, known = smoothing.settle(drawn.problem, drawn.smoothed, count)
     state.settled = Settled(first, start_poses, known)

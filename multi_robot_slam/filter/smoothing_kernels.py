@@ -223,7 +223,7 @@ def add_observations(starts, seen_from, information, poses, landmarks, hubs, row
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def multiply(a, lower, result):
-    """a (3, 3) times a lower triangle."""
+    """A (3, 3) times a lower triangle."""
     for i in range(3):
         for j in range(3):
             result[i, j] = 0

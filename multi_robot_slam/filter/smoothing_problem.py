@@ -102,6 +102,7 @@ def problem_of(
     noise: MotionSettings,
     mount: CameraMount,
     known: Known | None = None,
+    factors: np.ndarray | None = None,
 ) -> Problem:
     """The problem that a history poses.
 
@@ -112,6 +113,7 @@ def problem_of(
         gross error.
     start_poses : (K, 3).
     known : what older poses say of landmarks (`settle`).
+    factors : (K, 2) of the odometry's distances and turns; default: none.
 
     """
     known = known or Known.nothing()
@@ -119,6 +121,8 @@ def problem_of(
     motions = np.array([record.motion for record in records], float).reshape(-1, 3)
     seconds = np.array([record.seconds for record in records])
     sigmas = standard_deviations(motions.T, seconds, noise).T
+    if factors is not None:
+        motions = motions * factors[robots][:, [0, 0, 1]]
     counts = [len(record.positions) for record in records]
     seen_from = np.concatenate(
         [np.full(len(known.ids), MAP), np.repeat(np.arange(len(records)), counts)]

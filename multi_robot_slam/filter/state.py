@@ -7,6 +7,7 @@ import numpy as np
 
 from multi_robot_slam.filter.history import History
 from multi_robot_slam.filter.landmarks import Landmarks
+from multi_robot_slam.filter.odometry_scale import Scales
 from multi_robot_slam.filter.smoothing_problem import Known
 
 
@@ -35,6 +36,7 @@ class State:
     log_weight_sum: np.ndarray
     """(M,) float64: sum over all steps of each particle's lineage (17)."""
     history: History
+    scales: Scales
     steps: int = 0
     origins: np.ndarray = field(init=False)
     """(M,) int32: the particle right after the last rejuvenation that each descends from."""

@@ -63,7 +63,7 @@ def draw(
     of_poses, of_hubs = np.split(deviations, [smoothed.poses.size])
     hubs = smoothed.factor.envelope.hubs
     leans = landmark_leans(problem, smoothed, hubs).astype(normals.dtype, copy=False)
-    apart = (of_hubs - leans @ of_poses).reshape(len(hubs), 3, -1)
+    apart = (of_hubs - leans @ of_poses).reshape(len(hubs), 3, normals.shape[1])
     information = stereo.unpack(inverses(smoothed.landmarks[hubs, 3:]))
     squared = np.square(normals, dtype=float).sum(axis=0)
     squared -= np.sum(apart * (information @ apart), axis=(0, 1))
