@@ -351,8 +351,8 @@ def real(
 ) -> None:
     """How well the filter locates real robots: together, with and without sightings, and alone.
 
-    Prints and writes mean and spread over seeds of real.csv, for both proposals, beside odometry
-    and least squares with the true identities.
+    Prints and writes mean and spread over seeds of real.csv, for the filter with rejuvenation and
+    for both proposals without it, beside odometry and least squares with the true identities.
     """
     from multi_robot_slam import real_robots, scheduling
 

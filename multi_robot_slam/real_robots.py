@@ -1,4 +1,4 @@
-"""How well a team of real robots is located: set-ups x proposals x seeds -> table.
+"""How well a team of real robots is located: set-ups x filters x seeds -> table.
 
 A recording with known truth (`convert.mrclam`) is estimated by the team together, with and without
 the robots' sightings of each other, and by each robot alone. A robot alone drifts with its map as a
@@ -16,12 +16,15 @@ from msg_defs.types import LandmarkMap
 from multi_robot_slam import evaluation, offline, refinement, runs
 from multi_robot_slam.config import Config
 from multi_robot_slam.convert import bag, mrclam
+from multi_robot_slam.filter.rbpf import FilterSettings
 from multi_robot_slam.pipeline import Pipeline
 from multi_robot_slam.trajectory_errors import alignment, rmse, rotation
 
 SIGHTINGS, LANDMARKS, ALONE = "together, sightings", "together", "alone"
 SETUPS = (SIGHTINGS, LANDMARKS, ALONE)
-PROPOSALS = ("informed", "motion")
+REJUVENATED = "rejuvenated"
+FILTERS = (REJUVENATED, "informed", "motion")
+"""The bag's own, and both proposals without rejuvenation, which takes the odometry as it is."""
 TEAM = "team"
 RATE_HZ = 1.0
 """Frames of each robot: at 2 and 4 Hz the same readings, correlated as they are, tell no more."""
@@ -34,6 +37,7 @@ class Job:
     bag: Path
     config: Config
     setup: str
+    filter: str
     with_batch: bool
     """The yardstick is that of the recording and the same for all seeds: one run computes it."""
 
@@ -43,7 +47,7 @@ class Row:
     """Figures of one robot in one run, or of the whole team."""
 
     setup: str
-    proposal: str
+    filter: str
     robot: str
     seed: int
     particles: int
@@ -83,24 +87,32 @@ def study(
     for done, (_, answer) in enumerate(execute(compute, jobs), start=1):
         rows += answer
         on_progress(done, len(jobs))
-    places = {setup: place for place, setup in enumerate(SETUPS)}
-    return sorted(rows, key=lambda row: (places[row.setup], row.proposal, row.robot, row.seed))
+
+    def order(row: Row) -> tuple[int, int]:
+        return SETUPS.index(row.setup), FILTERS.index(row.filter)
+
+    return sorted(rows, key=lambda row: (*order(row), row.robot, row.seed))
 
 
 def plan(path: Path, config: Config, seeds: int, particles: int) -> list[Job]:
     """Every run of the study."""
     jobs = []
     for seed in range(seeds):
-        for proposal in PROPOSALS:
-            filter_settings = replace(
-                config.filter, proposal=proposal, particles=particles, threads=1
-            )
-            own = replace(config, seed=seed, filter=filter_settings)
+        for name in FILTERS:
+            own = replace(config, seed=seed, filter=_filter(name, config.filter, particles))
             teams = [(SIGHTINGS, own), (LANDMARKS, replace(own, sightings=False))]
             teams += [(ALONE, _alone(own, robot)) for robot in range(len(own.robots))]
-            with_batch = seed == 0 and proposal == PROPOSALS[0]
-            jobs += [Job(path, team, setup, with_batch) for setup, team in teams]
+            with_batch = seed == 0 and name == REJUVENATED
+            jobs += [Job(path, team, setup, name, with_batch) for setup, team in teams]
     return jobs
+
+
+def _filter(name: str, own: FilterSettings, particles: int) -> FilterSettings:
+    own = replace(own, particles=particles, threads=1)
+    if name == REJUVENATED:
+        return own
+    never = replace(own.rejuvenation, ancestors_below=0.0)
+    return replace(own, proposal=name, rejuvenation=never)
 
 
 def _alone(config: Config, robot: int) -> Config:
@@ -128,10 +140,10 @@ def compute(job: Job) -> list[Row]:
     run = replace(run, refined_landmarks=refined.landmarks)
     if job.with_batch:
         run = refinement.with_yardstick(run, lineage)
-    return rows_of(run, job.setup)
+    return rows_of(run, job.setup, job.filter)
 
 
-def rows_of(run: runs.Run, setup: str) -> list[Row]:
+def rows_of(run: runs.Run, setup: str, filter_name: str) -> list[Row]:
     """A row for each robot, and one for a team of several."""
     result = evaluation.evaluate(run)
     frames = [frame for step in run.steps for frame in step.frames]
@@ -144,7 +156,7 @@ def rows_of(run: runs.Run, setup: str) -> list[Row]:
         "rejected": sum(int(frame.is_rejected.sum()) for frame in frames),
         "ghosts": result["duplicates"],
     }
-    own = {"setup": setup, "proposal": run.config.filter.proposal, "seed": run.config.seed}
+    own = {"setup": setup, "filter": filter_name, "seed": run.config.seed}
     own |= {"particles": run.config.filter.particles} | places
     figures = result["robots"] | ({TEAM: result} if len(run.robots) > 1 else {})
     names = [field.name for field in fields(Row) if field.name not in {*own, "robot"}]
@@ -204,12 +216,12 @@ COLUMNS = {
 
 
 def markdown(rows: list[Row]) -> str:
-    """A table of mean ± standard deviation over the seeds, for each set-up, proposal and robot."""
-    head = ("set-up", "proposal", "robot", *COLUMNS.values())
+    """A table of mean ± standard deviation over the seeds, for each set-up, filter and robot."""
+    head = ("set-up", "filter", "robot", *COLUMNS.values())
     lines = ["| " + " | ".join(head) + " |", "|---|---|---|" + "---:|" * len(COLUMNS)]
     groups: dict[tuple[str, str, str], list[Row]] = {}
     for row in rows:
-        groups.setdefault((row.setup, row.proposal, row.robot), []).append(row)
+        groups.setdefault((row.setup, row.filter, row.robot), []).append(row)
     for key, group in groups.items():
         cells = [_cell([getattr(row, name) for row in group]) for name in COLUMNS]
         lines.append("| " + " | ".join([*key, *cells]) + " |")

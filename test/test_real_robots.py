@@ -20,12 +20,12 @@ def rows(original, tmp_path_factory):  # noqa: F811
 
 
 def test_a_row_for_each_robot_and_the_team_of_every_run(rows):
-    together = [(r.setup, r.proposal, r.robot, r.seed) for r in rows]
+    together = [(r.setup, r.filter, r.robot, r.seed) for r in rows]
     robots = ("robot_1", "robot_2")
     wanted = [
-        (setup, proposal, robot, seed)
+        (setup, name, robot, seed)
         for setup in real_robots.SETUPS
-        for proposal in real_robots.PROPOSALS
+        for name in real_robots.FILTERS
         for robot in (*robots, *(("team",) if setup != real_robots.ALONE else ()))
         for seed in range(2)
     ]
@@ -38,7 +38,7 @@ def test_with_exact_odometry_everything_is_found(rows):
         assert row.online_path_rmse_m < 0.5
         assert row.refined_path_rmse_m < 0.05
         assert (row.rejected, row.ghosts) == (0, 0)
-        is_yardstick = row.seed == 0 and row.proposal == "informed"
+        is_yardstick = row.seed == 0 and row.filter == "rejuvenated"
         assert (row.batch_path_rmse_m is not None) == is_yardstick
 
 

@@ -68,6 +68,8 @@ class Noise:
     left_per_sqrt_s: float
     yaw_per_sqrt_s: float
     """Of odometry [rad/sqrt(s)]."""
+    scale_sigma: float = 0.0
+    """Standard deviation of odometry's unknown factors of distances and turns, around 1."""
 
 
 @dataclass(frozen=True, eq=False)
