@@ -10,6 +10,7 @@ from scipy.stats import chi2
 
 from msg_defs.types import StereoCamera
 from multi_robot_slam import offline, refinement, runs
+from multi_robot_slam.filter import joining
 from multi_robot_slam.pipeline import Pipeline
 from sim_world.scenario import Scenario
 from sim_world.simulator import Simulation
@@ -98,6 +99,37 @@ def test_yardstick_needs_the_truth_of_every_frame(explored):
     assert refinement.yardstick([], {}, explored.config) is None
 
 
+def test_yardstick_is_plain_least_squares_until_there_are_gross_errors(explored):
+    lineage, exact = explored.pipeline.lineage(), explored.truth
+    expected = refinement.yardstick(lineage, exact, deaf(explored.config))
+    found = refinement.yardstick(lineage, exact, explored.config)
+    assert_same_paths(found, expected, atol=0)
+    record, row = lineage[60]
+    wrong = record.positions.copy()
+    wrong[0] += [2, 0, -1]
+    spoiled = [*lineage[:60], (replace(record, positions=wrong), row), *lineage[61:]]
+    resisting = refinement.yardstick(spoiled, exact, explored.config)
+    assert_same_paths(resisting, expected, atol=0.02)
+    fooled = refinement.yardstick(spoiled, exact, deaf(explored.config))
+    with pytest.raises(AssertionError):
+        assert_same_paths(fooled, expected, atol=0.02)
+
+
+def test_factors_of_the_odometry_are_found(explored):
+    lineage, landmarks = explored.perfect()
+    told = [(replace(r, motion=r.motion * [1.1, 1.1, 0.9]), row) for r, row in lineage]
+    config = deaf(explored.config)
+    noise = replace(config.filter.motion, scale_sigma=0.2)
+    doubting = replace(config, filter=replace(config.filter, motion=noise))
+    expected = refinement.refine(lineage, landmarks, doubting).paths
+    by_refining = refinement.refine(told, landmarks, doubting).paths
+    by_yardstick = refinement.yardstick(told, explored.truth, doubting)
+    for found in (by_refining, by_yardstick):
+        assert_same_paths(found, expected, atol=5e-3)
+    with pytest.raises(AssertionError):
+        assert_same_paths(refinement.refine(told, landmarks, config).paths, expected, atol=5e-3)
+
+
 def test_perfect_associations_are_refined_to_the_yardstick(explored):
     lineage, landmarks = explored.perfect()
     refined = refinement.refine(lineage, landmarks, deaf(explored.config))
@@ -160,7 +192,7 @@ def test_refined_map_has_the_errors_it_claims(explored):
 
 def test_widened_gate_lets_a_run_pass_as_one_observation_does():
     for count in (1, 100, 7000):
-        together = chi2.cdf(refinement.widened_gate(11.345, count), 3) ** count
+        together = chi2.cdf(joining.widened_gate(11.345, count), 3) ** count
         assert together == pytest.approx(0.99, abs=1e-4)
 
 

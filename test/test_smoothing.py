@@ -70,10 +70,21 @@ def drive(request):
     return posed(*filtered(steps=18), sighted=request.param)
 
 
-def information(factor):
-    """H (3 P, 3 P) in the order of the poses."""
-    columns = factor.solve_upper(np.eye(len(factor.envelope.rows)))
-    return np.linalg.inv(columns @ columns.T)
+def covariance_of(found):
+    """(3 P, 3 P) of the poses."""
+    deviations = found.factor.solve_upper(np.eye(found.factor.size))[: found.poses.size]
+    return deviations @ deviations.T
+
+
+def with_hubs(monkeypatch, share):
+    """A share of all landmarks shall be hubs, whatever is cheapest."""
+
+    def envelope(problem):
+        count = round(share * len(problem.ids))
+        hubs = np.random.default_rng(0).choice(len(problem.ids), count, replace=False)
+        return envelope_of(problem, np.sort(hubs))
+
+    monkeypatch.setattr(smoothing, "cheapest_envelope", envelope)
 
 
 def matrix(envelope, elements):
@@ -138,16 +149,18 @@ def dense(problem):
     return covariance @ A.T @ b, covariance
 
 
-def test_linear_world_is_solved_exactly():
+@pytest.mark.parametrize("share", [0, 0.5, 1])
+def test_linear_world_is_solved_exactly(monkeypatch, share):
+    with_hubs(monkeypatch, share)
     problem = straight()
     mean, covariance = dense(problem)
     found = smooth(problem, np.zeros((6, 3)))
     assert found.converged
     np.testing.assert_allclose(found.poses[:, :2].ravel(), mean[:12], atol=1e-9)
     np.testing.assert_allclose(found.landmarks[:, :3].ravel(), mean[12:], atol=1e-9)
-    H = information(found.factor)
     xy = np.arange(18).reshape(6, 3)[:, :2].ravel()
-    np.testing.assert_allclose(np.linalg.inv(H)[np.ix_(xy, xy)], covariance[:12, :12], atol=1e-9)
+    of_poses = covariance_of(found)[np.ix_(xy, xy)]
+    np.testing.assert_allclose(of_poses, covariance[:12, :12], atol=1e-9)
     Y = smoothing.landmark_deviations(problem, found).reshape(12, -1)
     chosen = smoothing.landmark_deviations(problem, found, np.array([2, 0]))
     np.testing.assert_allclose(chosen, Y.reshape(4, 3, -1)[[2, 0]], rtol=1e-12)
@@ -249,18 +262,20 @@ def test_optimum_is_that_of_gtsam(drive):
     np.testing.assert_allclose(found.landmarks[:, :3], places, atol=1e-4)
 
 
-def test_factor_inside_the_envelope_is_that_of_the_whole_matrix(drive):
+@pytest.mark.parametrize("hubs", [[], [3, 8, 30]], ids=["none", "three"])
+def test_factor_inside_the_envelope_is_that_of_the_whole_matrix(drive, hubs):
     problem, poses = drive
-    ones, envelope = weights_of_one(problem), envelope_of(problem)
+    ones, envelope = weights_of_one(problem), envelope_of(problem, np.array(hubs, int))
     landmarks, _ = smoothing.landmarks_and_distances(problem, poses, ones)
     elements = smoothing._system(problem, poses, landmarks, ones, envelope)
     H = matrix(envelope, elements)
     factor = factorise(envelope, elements)
     assert len(factor.tiles) == 3
     right = np.random.default_rng(0).standard_normal((len(H), 4))
-    lower = np.linalg.solve(np.linalg.cholesky(H), right[envelope.rows])
+    of_poses = np.where(np.arange(len(H))[:, None] < poses.size, right, 0)
+    lower = np.linalg.solve(np.linalg.cholesky(H), of_poses[envelope.rows])
     upper = np.linalg.solve(np.linalg.cholesky(H).T, right)
-    np.testing.assert_allclose(factor.solve_lower(right), lower, atol=1e-9)
+    np.testing.assert_allclose(factor.solve_lower(right[: poses.size]), lower, atol=1e-9)
     np.testing.assert_allclose(factor.solve_upper(right)[envelope.rows], upper, atol=1e-9)
 
 
@@ -277,7 +292,25 @@ def test_envelope_follows_a_long_corridor():
         seen_from=seen_from,
     )
     # Tiles of 72 rows reach back one tile: 12 (72^2 + 72^2) of 900^2 / 2 elements.
-    assert envelope_of(corridor).size < 0.35 * (3 * poses) ** 2 / 2
+    assert envelope_of(corridor, np.empty(0, int)).size < 0.35 * (3 * poses) ** 2 / 2
+
+
+@pytest.mark.parametrize("robust_above", [np.inf, GATE])
+@pytest.mark.parametrize("share", [0.3, 1])
+def test_hubs_change_nothing(drive, robust_above, share, monkeypatch):
+    problem, poses = drive
+    expected = smooth(problem, poses, robust_above, smallest_step=1e-6)
+    Y = smoothing.landmark_deviations(problem, expected).reshape(3 * len(problem.ids), -1)
+    with_hubs(monkeypatch, share)
+    found = smooth(problem, poses, robust_above, smallest_step=1e-6)
+    assert len(found.factor.envelope.hubs) == round(share * len(problem.ids))
+    assert found.iterations == expected.iterations
+    assert found.cost == pytest.approx(expected.cost, rel=1e-8)
+    np.testing.assert_allclose(found.poses, expected.poses, atol=1e-8)
+    np.testing.assert_allclose(found.landmarks, expected.landmarks, atol=1e-8)
+    np.testing.assert_allclose(covariance_of(found), covariance_of(expected), atol=1e-10)
+    some = smoothing.landmark_deviations(problem, found).reshape(3 * len(problem.ids), -1)
+    np.testing.assert_allclose(some @ some.T, Y @ Y.T, atol=1e-10)
 
 
 @pytest.mark.parametrize("robust_above", [np.inf, GATE])
@@ -300,7 +333,7 @@ def test_wrong_associations_are_resisted():
     wrong[planted] += [2.0, -1.5, 0.5]
     fooled = replace(problem, positions=wrong)
     plain, robust = smooth(fooled, right.poses), smooth(fooled, right.poses, GATE)
-    spread = np.sqrt(np.linalg.inv(information(right.factor))[0, 0])
+    spread = np.sqrt(covariance_of(right)[0, 0])
     assert robust.weights[planted].max() < np.delete(robust.weights, planted).min()
     assert np.abs(robust.poses - right.poses).max() < spread
     assert np.abs(plain.poses - right.poses).max() > spread

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_smoothing import GATE, filtered, information, posed, straight
+from test_smoothing import GATE, covariance_of, filtered, posed, straight, with_hubs
 
 from multi_robot_slam.filter import smoothing, stereo, whole_paths
 from multi_robot_slam.filter.smoothing import smooth
@@ -16,15 +16,23 @@ def smoothed():
     return problem, smooth(problem, poses, GATE)
 
 
-def drawn(found, count, seed=0):
-    normals = np.random.default_rng(seed).standard_normal((found.poses.size, count))
-    return whole_paths.draw(found, normals), normals
+def drawn(problem, found, count):
+    """Paths (P, 3, M) and the logarithms of their densities (M,)."""
+    normals = np.random.default_rng(0).standard_normal((found.factor.size, count))
+    return whole_paths.draw(problem, found, normals)
 
 
-def test_drawn_paths_have_the_covariance_of_the_optimum(smoothed):
-    _, found = smoothed
-    paths, _ = drawn(found, 4000)
-    covariance = np.linalg.inv(information(found.factor))
+@pytest.mark.parametrize("share", [0, 0.5, 1])
+def test_drawn_paths_have_the_covariance_and_the_density_of_the_optimum(monkeypatch, share):
+    """That of the Gaussian as it is without hubs."""
+    problem, poses = posed(*filtered(), sighted=True)
+    covariance = covariance_of(smooth(problem, poses, GATE))
+    with_hubs(monkeypatch, share)
+    found = smooth(problem, poses, GATE)
+    paths, logs = drawn(problem, found, 4000)
+    apart = (paths - found.poses[:, :, None]).reshape(len(covariance), -1)
+    squared = np.sum(apart * np.linalg.solve(covariance, apart), axis=0)
+    np.testing.assert_allclose(logs, -0.5 * squared, rtol=1e-3)
     sigma = np.sqrt(np.diag(covariance))
     sample = np.cov(paths.reshape(len(sigma), -1)) / np.outer(sigma, sigma)
     expected = covariance / np.outer(sigma, sigma)
@@ -98,15 +106,15 @@ def test_paths_of_a_linear_world_weigh_the_same():
     """Headings known: the posterior is the Gaussian."""
     problem = straight(poses=30, landmarks=12)
     found = smooth(problem, np.zeros((30, 3)))
-    paths, normals = drawn(found, 200)
+    paths, drawn_logs = drawn(problem, found, 200)
     _, logs = whole_paths.landmarks_and_log_density(problem, paths, found.weights)
-    np.testing.assert_allclose(np.ptp(logs + 0.5 * np.sum(normals**2, axis=0)), 0, atol=1e-4)
+    np.testing.assert_allclose(np.ptp(logs - drawn_logs), 0, atol=1e-4)
 
 
 def test_single_precision_and_threads(smoothed):
     """Threads change no byte; float32 little, however often the robots have turned around."""
     problem, found = smoothed
-    paths, _ = drawn(found, 600)
+    paths, _ = drawn(problem, found, 600)
     paths[:, 2] += 100 * np.pi
     turned = replace(problem, start_poses=problem.start_poses + np.array([0, 0, 100 * np.pi]))
     planes, logs = whole_paths.landmarks_and_log_density(turned, paths, found.weights)
@@ -124,7 +132,7 @@ def test_single_precision_and_threads(smoothed):
 
 def test_several_paths_weigh_as_each_alone(smoothed):
     problem, found = smoothed
-    paths, _ = drawn(found, 5)
+    paths, _ = drawn(problem, found, 5)
     together, logs = whole_paths.landmarks_and_log_density(problem, paths, found.weights)
     for m in range(5):
         one = paths[:, :, m : m + 1]

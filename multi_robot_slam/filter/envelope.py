@@ -1,13 +1,13 @@
 """Cholesky factorisation H = L L^T of a sparse matrix of poses, inside its envelope.
 
 Where two poses share no measurement their block of H is zero, a landmark's elimination ties all
-poses that saw it. A few landmarks, the hubs, are kept as unknowns instead, after all poses
-(`hubs` chooses them). L fills each row from its first
-block that is not zero up to the diagonal, the envelope, and nothing else (George, Liu: Computer
-solution of large sparse positive definite systems, 1981). Reverse Cuthill-McKee brings poses that
-saw the same landmarks together, however much later a loop was closed, which keeps the envelope
-small: for a tour of a building a fifth of the triangle, and a twentieth of its arithmetic. Rows and
-columns are handled in tiles, each product of tiles by BLAS.
+poses that saw it. A few landmarks, the hubs, are kept as unknowns instead, after all poses (`hubs`
+chooses them), those seen early last. L fills each row from its first block that is not zero up to
+the diagonal, the envelope, and nothing else (George, Liu: Computer solution of large sparse
+positive definite systems, 1981). Reverse Cuthill-McKee brings poses that saw the same landmarks
+together, however much later a loop was closed, which keeps the envelope small: for a tour of a
+building a fifth of the triangle, and a twentieth of its arithmetic. Rows and columns are handled in
+tiles, each product of tiles by BLAS.
 
 Unknowns have three rows each: the P poses x, y and yaw, then the H hubs x, y and z; U = P + H.
 """
@@ -147,9 +147,10 @@ def envelope_of(problem: Problem, hubs: np.ndarray) -> Envelope:
     """The envelope of the information of a problem's poses and `hubs` (H,), other landmarks out."""
     is_hub = np.zeros(len(problem.ids), bool)
     is_hub[hubs] = True
-    order = np.append(_order(problem, is_hub), len(problem.robots) + np.arange(len(hubs)))
-    place = np.empty_like(order)
-    place[order] = np.arange(len(order))
+    order = _order(problem, is_hub)
+    late_first = np.argsort(-_earliest(problem, _inverse(order))[hubs], kind="stable")
+    order = np.append(order, len(order) + late_first)
+    place = _inverse(order)
     edges = np.append(np.arange(0, len(order), TILE), len(order))
     first = np.minimum.reduceat(_first_columns(problem, hubs, is_hub, place), edges[:-1])
     begins, edges = 3 * (first // TILE) * TILE, 3 * edges
@@ -173,18 +174,31 @@ def _order(problem: Problem, is_hub: np.ndarray) -> np.ndarray:
     return order[order < poses]
 
 
+def _inverse(order: np.ndarray) -> np.ndarray:
+    """The place of each in the order."""
+    place = np.empty_like(order)
+    place[order] = np.arange(len(order))
+    return place
+
+
+def _earliest(problem: Problem, place: np.ndarray) -> np.ndarray:
+    """(N,) place of the first pose that saw each landmark."""
+    moving = problem.seen_from >= 0
+    earliest = np.full(len(problem.ids), len(place) - 1)
+    np.minimum.at(earliest, problem.landmarks[moving], place[problem.seen_from[moving]])
+    return earliest
+
+
 def _first_columns(
     problem: Problem, hubs: np.ndarray, is_hub: np.ndarray, place: np.ndarray
 ) -> np.ndarray:
     """(U,) place of the first unknown that the one at each place shares a measurement with."""
-    moving = problem.seen_from >= 0
-    at, landmarks = place[problem.seen_from[moving]], problem.landmarks[moving]
-    earliest = np.full(len(problem.ids), len(place) - 1)
-    np.minimum.at(earliest, landmarks, at)
+    earliest = _earliest(problem, place)
     first = np.arange(len(place))
-    first[len(problem.robots) :] = earliest[hubs]
-    out = ~is_hub[landmarks]
-    np.minimum.at(first, at[out], earliest[landmarks[out]])
+    of_hubs = place[len(problem.robots) :]
+    first[of_hubs] = np.minimum(of_hubs, earliest[hubs])
+    out = (problem.seen_from >= 0) & ~is_hub[problem.landmarks]
+    np.minimum.at(first, place[problem.seen_from[out]], earliest[problem.landmarks[out]])
     following = np.flatnonzero(problem.previous >= 0)
     for one, other in (
         (place[following], place[problem.previous[following]]),
