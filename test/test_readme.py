@@ -16,9 +16,11 @@ from multi_robot_slam.config import SECTION, Config
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
-QUICK = {("multi_robot_slam", "run"), ("multi_robot_slam", "evaluate")}
+QUICK = {("multi_robot_slam", verb) for verb in ("run", "evaluate", "compare", "report", "export")}
 QUICK |= {("sim_world", "team"), ("sim_world", "descriptors")}
 SLOW = {("multi_robot_slam", verb) for verb in ("demo", "experiment", "bench", "accuracy")}
+RECORDED = {("multi_robot_slam", verb) for verb in ("convert", "real")}
+"""Their argument is a recording that the README does not bring."""
 
 
 def blocks(language):
@@ -61,20 +63,22 @@ def run(words):
 
 def test_every_command_works_as_shown(folder, ros_domain_id):
     nodes = pytest.importorskip("nodes")
-    from multi_robot_slam import fusion, recorder
+    from multi_robot_slam import fusion, recorder, replay
     from sim_world import robots
 
     makers = {"fusion": fusion.Fusion, "record": recorder.Recorder, "robots": robots.SimWorld}
+    makers["replay"] = replay.Replay
     for program, *arguments in commands():
         verb = arguments[0]
         if program == "make":
             subprocess.run(["make", "-n", verb], cwd=ROOT, check=True, capture_output=True)
         elif (program, verb) in QUICK:
             run([program, *arguments])
-        elif (program, verb) in SLOW:
+        elif (program, verb) in SLOW | RECORDED:
             options = [word for word in arguments if word.startswith("--")]
+            named = arguments[: 2 if verb == "convert" else 1]
             told = subprocess.check_output(
-                [sys.executable, "-m", f"{program}.cli", verb, "--help"], text=True
+                [sys.executable, "-m", f"{program}.cli", *named, "--help"], text=True
             )
             assert all(option in told for option in options)
         else:
@@ -93,5 +97,5 @@ def test_everything_linked_and_named_is_there():
     linked = re.findall(r"\]\(([^)#:]+)\)", README)
     named = re.findall(r"`((?:config|docs|examples)/[\w./]+)`", README)
     assert [name for name in linked + named if not (ROOT / name).exists()] == []
-    picture = ROOT / "docs" / "map.png"
+    picture = ROOT / "docs" / "report.png"
     assert picture.stat().st_size < 300_000
