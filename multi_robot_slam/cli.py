@@ -1,7 +1,8 @@
 """The command `multi_robot_slam`: one function per verb."""
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from datetime import datetime
 from functools import partial
@@ -66,11 +67,11 @@ def demo(
 
     cli.require_ros()
     text = demo.configure(scenario, robots, seed)
-    folder = _new_folder(out)
-    (folder / "scenario.yaml").write_text(text)
-    demo.record(folder, folder / "scenario.yaml", seed, speed)
-    result = offline.load(folder)
-    _draw(result, _finish(result, folder), folder)
+    with _new_folder(out) as folder:
+        (folder / "scenario.yaml").write_text(text)
+        demo.record(folder, folder / "scenario.yaml", seed, speed)
+        result = offline.load(folder)
+        _draw(result, _finish(result, folder), folder)
 
 
 @app.command()
@@ -88,18 +89,18 @@ def run(
 ) -> None:
     """Estimate paths and map from a recorded bag, as fast as the filter goes; no ROS needed."""
     config = _configuration(bag, scenario, particles, seed)
-    folder = _new_folder(out)
-    with _progress() as progress:
-        task = progress.add_task(f"{bag}", total=None)
-        result = offline.estimate(
-            bag,
-            config,
-            warn=lambda text: messages.print(text, style="yellow", markup=False),
-            on_step=lambda step: progress.update(task, completed=step.step),
-            refine=refine,
-        )
-    runs.write_estimates(result, folder)
-    _finish(result, folder)
+    with _new_folder(out) as folder:
+        with _progress() as progress:
+            task = progress.add_task(f"{bag}", total=None)
+            result = offline.estimate(
+                bag,
+                config,
+                warn=lambda text: messages.print(text, style="yellow", markup=False),
+                on_step=lambda step: progress.update(task, completed=step.step),
+                refine=refine,
+            )
+        runs.write_estimates(result, folder)
+        _finish(result, folder)
 
 
 @app.command()
@@ -336,8 +337,15 @@ def utias(
 def _convert(read: Callable, source: Path, out: Path, rate: float) -> None:
     from multi_robot_slam.convert import bag
 
-    with messages.status(f"Converting {source}"):
-        counts = bag.write(read(source), out, rate)
+    with messages.status(f"Reading {source}") as status:
+        recording = read(source)
+        total = len(recording.robots)
+
+        def tell(robot: str) -> None:
+            number = list(recording.robots).index(robot) + 1
+            status.update(f"Converting {source}: {robot}, {number} of {total}")
+
+        counts = bag.write(recording, out, rate, tell)
     console.print(bag.table(counts))
     console.print(f"Now: multi_robot_slam run {out}", markup=False, soft_wrap=True)
 
@@ -356,18 +364,18 @@ def real(
     """
     from multi_robot_slam import real_robots, scheduling
 
-    target = _new_folder(out)
-    with _progress() as progress:
-        task = progress.add_task(f"{folder}", total=None)
-        rows = real_robots.study(
-            folder,
-            target,
-            seeds,
-            particles,
-            scheduling.local,
-            lambda done, total: progress.update(task, completed=done, total=total),
-        )
-    real_robots.write(rows, target)
+    with _new_folder(out) as target:
+        with _progress() as progress:
+            task = progress.add_task(f"{folder}", total=None)
+            rows = real_robots.study(
+                folder,
+                target,
+                seeds,
+                particles,
+                scheduling.local,
+                lambda done, total: progress.update(task, completed=done, total=total),
+            )
+        real_robots.write(rows, target)
     typer.echo(real_robots.markdown(rows))
     console.print(f"Everything is in {target}", markup=False)
 
@@ -423,8 +431,9 @@ def _configuration(
     return settings.from_mapping(Config, values)
 
 
-def _new_folder(out: Path | None) -> Path:
-    """Make `out`, or runs/<time> with the link runs/latest."""
+@contextmanager
+def _new_folder(out: Path | None) -> Iterator[Path]:
+    """Make `out`, or runs/<time>, and then the link runs/latest; what stays empty is removed."""
     folder = out or Path("runs") / f"{datetime.now():%Y%m%d_%H%M%S}"
     try:
         folder.mkdir(parents=True)
@@ -432,12 +441,20 @@ def _new_folder(out: Path | None) -> Path:
         raise InputError(f"{folder} exists; remove it or choose another with --out") from None
     except OSError as error:
         raise InputError(f"cannot make the folder {folder}: {error.strerror}") from None
-    if out is None:
-        link = folder.parent / "latest.new"
-        link.unlink(missing_ok=True)
-        link.symlink_to(folder.name)
-        os.replace(link, folder.parent / "latest")
-    return folder
+    try:
+        yield folder
+    finally:
+        if not any(folder.iterdir()):
+            folder.rmdir()
+        elif out is None:
+            _link_latest(folder)
+
+
+def _link_latest(folder: Path) -> None:
+    link = folder.parent / "latest.new"
+    link.unlink(missing_ok=True)
+    link.symlink_to(folder.name)
+    os.replace(link, folder.parent / "latest")
 
 
 def _finish(result: runs.Run, folder: Path) -> dict:

@@ -151,6 +151,20 @@ def test_bad_input_is_one_line_and_exit_code_2(command, bag, tmp_path, words, to
     assert told in refused(command(*filled))
 
 
+@pytest.mark.parametrize("given", [True, False], ids=["out", "runs"])
+def test_a_bag_that_is_refused_leaves_no_folder(command, tmp_path, monkeypatch, given):
+    """The configuration is there and the robots are not, which shows only when the bag is read."""
+    monkeypatch.chdir(tmp_path)
+    with BagWriter(tmp_path / "silent") as writer:
+        text = settings.to_yaml(**{SECTION: Config()})
+        writer.write(topics.FUSION_CONFIG, 1, wire.encode_text(text))
+    words = ("--out", "out") if given else ()
+    for _ in range(2):
+        assert "nothing to estimate from" in refused(command("run", "silent", *words))
+    assert not (tmp_path / "out").exists()
+    assert list(tmp_path.glob("runs/*")) == []
+
+
 def test_nodes_without_ros_say_what_is_missing(command, monkeypatch):
     monkeypatch.setitem(sys.modules, "rclpy", None)
     for verb in ("demo", "fusion", "record", "replay"):

@@ -102,8 +102,8 @@ LONG = "{robots: 2, movements: 2000, observations: 5}"
 @pytest.mark.parametrize(
     ("number", "send", "when"),
     [
-        (signal.SIGINT, os.kill, "step"),
-        (signal.SIGINT, os.killpg, "step"),
+        (signal.SIGINT, os.kill, "effective particles"),
+        (signal.SIGINT, os.killpg, "effective particles"),
         (signal.SIGTERM, os.kill, "publishing"),
         (signal.SIGTERM, os.kill, "waiting for subscribers"),
     ],
@@ -121,7 +121,7 @@ def test_a_signal_ends_every_process_within_three_seconds(start, tmp_path, numbe
     bag = tmp_path / "out" / "bag"
     assert said.endswith(f"error: ended by {number.name}; what was recorded so far is in {bag}\n")
     messages = recorded(bag)
-    if when == "step":
+    if when == "effective particles":
         odometry = messages[f"/{topics.odometry('robot_1').name}"]
         assert len(odometry) >= len(messages["/fusion/steps"]) > 0
 

@@ -264,6 +264,19 @@ class TestRoundTrip:
         read = wire.decode_step(wire.encode_step(written))
         assert_identical(read, written)
 
+    def test_step_of_an_older_bag_has_no_sightings_and_no_rejuvenation(self):
+        def without_them(message):
+            later = {"others", "other_mahalanobis", "is_other_rejected", "sighted", "rejuvenated"}
+            for status in message.status:
+                status.values = [pair for pair in status.values if pair.key not in later]
+
+        written = replace(step_record(), rejuvenated=0.5)
+        read = wire.decode_step(changed(wire.encode_step(written), topics.STEPS.type, without_them))
+        assert read.rejuvenated is None
+        assert [len(frame.others) for frame in read.frames] == [0, 0]
+        for ours, theirs in zip(read.frames, written.frames, strict=True):
+            assert_identical(ours.landmarks, theirs.landmarks)
+
     def test_step_leaves_out_the_estimates(self):
         estimate = Estimate(ROBOT, STAMP, np.zeros(3), np.eye(3))
         assert (

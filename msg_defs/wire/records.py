@@ -135,6 +135,9 @@ def _frame_status(frame: FrameRecord) -> Status:
 
 
 def _frame(status: Status) -> FrameRecord:
+    # Bags from before robots saw robots have none of these values.
+    values = {"sighted": "0"} | dict.fromkeys(_SIGHTING_LISTS, "") | dict(status.values)
+    status = status._replace(values=values)
     return FrameRecord(
         status.hardware_id,
         **_lists(status, _FRAME_LISTS, "observed"),

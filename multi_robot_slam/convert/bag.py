@@ -1,6 +1,6 @@
 """A recording -> a bag that `multi_robot_slam run` needs nothing else for."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -66,8 +66,16 @@ class Count(NamedTuple):
     """Further ones of one target in one frame, before the first frame, or not ahead: left out."""
 
 
-def write(recording: Recording, folder: Path, rate_hz: float) -> dict[str, Count]:
-    """Write the bag `folder` with frames at `rate_hz`; what became of each robot's readings."""
+def write(
+    recording: Recording,
+    folder: Path,
+    rate_hz: float,
+    on_robot: Callable[[str], None] = lambda robot: None,
+) -> dict[str, Count]:
+    """Write the bag `folder` with frames at `rate_hz`; what became of each robot's readings.
+
+    `on_robot` is called with each robot's name before its turn.
+    """
     if len(recording.landmarks) > DESCRIPTOR_SIZE:
         raise InputError(
             f"{len(recording.landmarks)} landmarks: {DESCRIPTOR_SIZE} identities at most fit"
@@ -81,6 +89,7 @@ def write(recording: Recording, folder: Path, rate_hz: float) -> dict[str, Count
         (int(stamps[0]), topics.FUSION_CONFIG, wire.encode_text(text)),
     ]
     for name, log in recording.robots.items():
+        on_robot(name)
         seen, others = (
             views(readings, stamps, log.commands, recording.noise, recording.mount)
             for readings in (log.landmarks, log.robots)

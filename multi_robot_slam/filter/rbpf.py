@@ -464,3 +464,5 @@ def warm_up(settings: FilterSettings, mount: CameraMount) -> None:
     for _ in range(3):
         frames = [RobotFrame(robot, 0, np.array([0.1, 0, 0.1]), seen) for robot in range(2)]
         step(state, frames, settings, mount, rng)
+    if settings.rejuvenation.ancestors_below > 0:
+        _rejuvenate(state, settings, mount, rng)

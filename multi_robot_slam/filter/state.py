@@ -51,7 +51,7 @@ class State:
 
 def resample(state: State, ancestors: np.ndarray) -> None:
     """Particle m continues as particle ancestors[m]: Algorithm 1, line 10."""
-    state.poses = state.poses[:, :, ancestors]
+    state.poses = np.take(state.poses, ancestors, axis=2)
     state.log_weight_sum = state.log_weight_sum[ancestors]
     state.log_weights = np.zeros(len(ancestors))
     state.landmarks.resample(ancestors)
