@@ -6,19 +6,19 @@ whole, so it is judged after alignment, too.
 """
 
 import csv
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
 
 from msg_defs.types import LandmarkMap
-from multi_robot_slam import evaluation, offline, refinement, runs
+from multi_robot_slam import evaluation, filtering_optimum, offline, refinement, runs
 from multi_robot_slam.config import Config
 from multi_robot_slam.convert import bag, mrclam
 from multi_robot_slam.filter.rbpf import FilterSettings
 from multi_robot_slam.pipeline import Pipeline
-from multi_robot_slam.trajectory_errors import alignment, rmse, rotation
+from multi_robot_slam.trajectory_errors import alignment, at, covers, rmse, rotation
 
 SIGHTINGS, LANDMARKS, ALONE = "together, sightings", "together", "alone"
 SETUPS = (SIGHTINGS, LANDMARKS, ALONE)
@@ -26,6 +26,7 @@ REJUVENATED = "rejuvenated"
 FILTERS = (REJUVENATED, "informed", "motion")
 """The bag's own, and both proposals without rejuvenation, which takes the odometry as it is."""
 TEAM = "team"
+OPTIMUM_EVERY = 10
 RATE_HZ = 1.0
 """Frames of each robot: at 2 and 4 Hz the same readings, correlated as they are, tell no more."""
 
@@ -53,6 +54,9 @@ class Row:
     particles: int
     odometry_path_rmse_m: float
     online_path_rmse_m: float
+    optimum_rmse_m: float | None
+    """Of the filtering optimum, every OPTIMUM_EVERY steps: with the true identities, and all of
+    what was known at that instant."""
     online_path_aligned_rmse_m: float
     online_heading_rmse_rad: float
     online_mean_path_rmse_m: float
@@ -138,12 +142,27 @@ def compute(job: Job) -> list[Row]:
     refined = refinement.refine(lineage, landmarks, job.config)
     run = run.with_paths(mean=pipeline.mean_trajectories(), refined=refined.paths)
     run = replace(run, refined_landmarks=refined.landmarks)
+    optimum: dict[str, np.ndarray] = {}
     if job.with_batch:
         run = refinement.with_yardstick(run, lineage)
-    return rows_of(run, job.setup, job.filter)
+        optimum = optimum_errors(run, lineage)
+    return rows_of(run, job.setup, job.filter, optimum)
 
 
-def rows_of(run: runs.Run, setup: str, filter_name: str) -> list[Row]:
+def optimum_errors(run: runs.Run, lineage: refinement.Lineage) -> dict[str, np.ndarray]:
+    """(T, 2) [m] of each robot, and of all under TEAM."""
+    paths = filtering_optimum.poses(lineage, run.observation_truth, run.config, OPTIMUM_EVERY)
+    errors = {}
+    for name, path in paths.items():
+        truth = run.robots[name].truth
+        known = covers(truth, path.stamps_ns)
+        errors[name] = path.poses[known, :2] - at(truth, path.stamps_ns[known])[:, :2]
+    return errors | {TEAM: np.concatenate(list(errors.values()))}
+
+
+def rows_of(
+    run: runs.Run, setup: str, filter_name: str, optimum: Mapping[str, np.ndarray]
+) -> list[Row]:
     """A row for each robot, and one for a team of several."""
     result = evaluation.evaluate(run)
     frames = [frame for step in run.steps for frame in step.frames]
@@ -159,9 +178,16 @@ def rows_of(run: runs.Run, setup: str, filter_name: str) -> list[Row]:
     own = {"setup": setup, "filter": filter_name, "seed": run.config.seed}
     own |= {"particles": run.config.filter.particles} | places
     figures = result["robots"] | ({TEAM: result} if len(run.robots) > 1 else {})
-    names = [field.name for field in fields(Row) if field.name not in {*own, "robot"}]
+    names = [
+        field.name for field in fields(Row) if field.name not in {*own, "robot", "optimum_rmse_m"}
+    ]
     return [
-        Row(robot=robot, **own, **{name: values[name] for name in names})
+        Row(
+            robot=robot,
+            optimum_rmse_m=rmse(optimum[robot]) if optimum else None,
+            **own,
+            **{name: values[name] for name in names},
+        )
         for robot, values in figures.items()
     ]
 
@@ -198,6 +224,7 @@ def write(rows: list[Row], folder: Path) -> None:
 COLUMNS = {
     "odometry_path_rmse_m": "odometry",
     "online_path_rmse_m": "published",
+    "optimum_rmse_m": "filtering optimum",
     "online_mean_path_rmse_m": "published mean",
     "online_path_aligned_rmse_m": "published, aligned",
     "online_heading_rmse_rad": "heading [rad]",
