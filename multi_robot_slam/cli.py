@@ -22,7 +22,7 @@ from rich.progress import (
 
 from msg_defs import cli, settings, topics
 from msg_defs.errors import InputError
-from multi_robot_slam import evaluation, evaluation_table, offline, plots, runs
+from multi_robot_slam import evaluation, evaluation_table, offline, runs
 from multi_robot_slam.bags import BagReader
 from multi_robot_slam.config import SECTION, Config
 
@@ -459,6 +459,8 @@ def _link_latest(folder: Path) -> None:
 
 def _finish(result: runs.Run, folder: Path) -> dict:
     """Write and print what there is to say of a run; its figures."""
+    from multi_robot_slam import plots
+
     for warning in result.warnings:
         messages.print(warning, style="yellow", markup=False)
     figures = evaluation.evaluate(result)

@@ -501,12 +501,13 @@ class TestMetadataDisagrees:
         assert list(reader) == as_read(recording())
 
 
-@pytest.mark.parametrize("verb", ["run", "evaluate"])
+@pytest.mark.parametrize("verb", ["run", "evaluate", "report", "export"])
 @pytest.mark.parametrize("kind", bad_bags.BAD)
 def test_a_useless_bag_is_one_line_and_exit_code_2(command, tmp_path, verb, kind):
     make, told = bad_bags.BAD[kind]
     make(tmp_path / "bag")
-    words = ("--out", tmp_path / "out") if verb == "run" else ()
+    words = ("--out", tmp_path / "out") if verb in ("run", "export") else ()
+    words += ("--to", "ply") if verb == "export" else ()
     code, out, err = command(verb, tmp_path / "bag", *words)
     assert (code, out, err.count("\n")) == (2, "", 1), err
     for part in ("error: ", *told):
