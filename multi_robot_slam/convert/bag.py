@@ -38,8 +38,10 @@ stop what was read wrong; and whatever it stops of the rest is a ghost beside th
 DESCRIPTOR_GATE = 0.5
 """E_0: 0 between equal identities, 2 between different ones."""
 
-ROBUST_ABOVE = 4.0
-"""2 sigma: range errors have heavy tails, and what is read wrong passes GATE when it is near."""
+ROBUST_ABOVE = 1.0
+"""1 sigma, the usual scale of a Cauchy loss: the sensors' noise figures cover the heavy tails of
+range errors, so most readings lie well inside it. docs/results.md has the residuals.
+"""
 
 REJUVENATION = RejuvenationSettings(ancestors_below=0.25, rest=3, window=300)
 """With few landmarks a posterior is far from Gaussian and weights are uneven; the window, a minute
