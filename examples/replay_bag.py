@@ -6,9 +6,9 @@ python examples/replay_bag.py BAG
 import sys
 from pathlib import Path
 
-from multi_robot_slam import offline
 from multi_robot_slam.config import Config
-from multi_robot_slam.pipeline import Pipeline
+from multi_robot_slam.pipeline import offline
+from multi_robot_slam.pipeline.pipeline import Pipeline
 
 bag = Path(sys.argv[1])
 config = offline.recorded_config(bag) or Config()

@@ -32,8 +32,10 @@ def main() -> None:
     what = f"out:={options.out / 'bag'}", f"robots:=[{names}]"
     patience = f"stop_after_s:={2.0 + (2.0 / options.speed if options.speed else 0.0)}"
     with (
-        node("multi_robot_slam.recorder", *what) as recorder,
-        node("multi_robot_slam.fusion", f"scenario:={team}", patience, "subscribers:=1") as fusion,
+        node("multi_robot_slam.nodes.recorder", *what) as recorder,
+        node(
+            "multi_robot_slam.nodes.fusion", f"scenario:={team}", patience, "subscribers:=1"
+        ) as fusion,
         node("sim_world.robots", f"scenario:={team}", *pace) as robots,
     ):
         wait(robots, needed=[recorder, fusion])

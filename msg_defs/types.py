@@ -30,7 +30,7 @@ Cls = TypeVar("Cls")
 
 
 def settings(cls: type[Cls]) -> type[Cls]:
-    """Declare a settings record: frozen, and strict when `msg_defs.settings` reads it."""
+    """Declare a settings record: frozen, and strict when `msg_defs.scenario_file` reads it."""
     cls.__pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}
     return dataclass(frozen=True)(cls)
 

@@ -7,7 +7,7 @@ from annotated_types import Ge
 
 from msg_defs.errors import InputError
 from msg_defs.types import CameraMount, settings
-from multi_robot_slam.filter.rbpf import FilterSettings
+from multi_robot_slam.filter.settings import FilterSettings
 
 SECTION = "multi_robot_slam"
 MOST_ROBOTS = 32

@@ -8,8 +8,9 @@ from annotated_types import Ge
 from rclpy.duration import Duration
 from rclpy.node import Node
 
-from msg_defs import node, topics, wire
-from msg_defs import settings as yaml_settings
+from msg_defs import scenario_file as yaml_settings
+from msg_defs import topics, wire
+from msg_defs.ros import node
 from msg_defs.types import settings
 from sim_world.robot import START_NS
 from sim_world.scenario import SECTION, Scenario

@@ -3,8 +3,8 @@
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from msg_defs import settings, topics, wire
-from multi_robot_slam.bags import BagWriter
+from msg_defs import scenario_file, topics, wire
+from multi_robot_slam.bags.bag import BagWriter
 from multi_robot_slam.config import SECTION, Config
 
 CONFIG = Config()
@@ -43,7 +43,7 @@ def _foreign(folder):
 
 def _other_type(folder):
     with BagWriter(folder) as bag:
-        text = settings.to_yaml(**{SECTION: CONFIG})
+        text = scenario_file.to_yaml(**{SECTION: CONFIG})
         bag.write(topics.FUSION_CONFIG, 1, wire.encode_text(text))
         bag.write(topics.observations("robot_1"), 1, b"\0\1\0\0")
         bag.write(NOT_ODOMETRY, 1, bytes(52))

@@ -63,7 +63,7 @@ def program(monkeypatch, capfd):
 @pytest.fixture
 def command(program):
     """Run `multi_robot_slam`: `command(word, ...) -> (exit code, stdout, stderr)`."""
-    from multi_robot_slam import cli
+    from multi_robot_slam.cli import main as cli
 
     return functools.partial(program, cli)
 

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 import pytest
 
 rclpy = pytest.importorskip("rclpy")
-node = pytest.importorskip("msg_defs.node")
+node = pytest.importorskip("msg_defs.ros.node")
 EventsExecutor = pytest.importorskip("rclpy.experimental").EventsExecutor
 
 
@@ -45,7 +45,7 @@ class Listener(node.EdgeNode):
 
 
 def spin_until(condition, *nodes, timeout_s=20.0):
-    """Run `nodes` as `msg_defs.node.spin` does, until `condition()`."""
+    """Run `nodes` as `msg_defs.ros.node.spin` does, until `condition()`."""
     executor = EventsExecutor()
     for one in nodes:
         for each in [one, *one.companions]:

@@ -2,11 +2,11 @@
 
 from itertools import islice
 
-from msg_defs import settings, topics, wire
-from multi_robot_slam.bags import BagWriter
+from msg_defs import scenario_file, topics, wire
+from multi_robot_slam.bags.bag import BagWriter
 from multi_robot_slam.config import SECTION, Config
-from multi_robot_slam.filter.rbpf import FilterSettings
-from multi_robot_slam.pipeline import Pipeline
+from multi_robot_slam.filter.settings import FilterSettings
+from multi_robot_slam.pipeline.pipeline import Pipeline
 from sim_world.robot import START_NS
 from sim_world.scenario import Scenario
 from sim_world.simulator import Simulation
@@ -52,7 +52,7 @@ def record(folder, scenario=None, seed=0, steps=None, is_live=False, **of_filter
     world = (
         (topics.GROUND_TRUTH_LANDMARKS, wire.encode_map(simulation.landmarks, START_NS)),
         (topics.GROUND_TRUTH_WALLS, wire.encode_walls(simulation.walls, START_NS)),
-        (topics.FUSION_CONFIG, wire.encode_text(settings.to_yaml(**{SECTION: config}))),
+        (topics.FUSION_CONFIG, wire.encode_text(scenario_file.to_yaml(**{SECTION: config}))),
     )
     with BagWriter(folder) as bag:
         for topic, data in world:

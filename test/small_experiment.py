@@ -5,7 +5,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from multi_robot_slam import experiment_table, experiments, scheduling
+from multi_robot_slam.studies import experiment_table, experiments, scheduling
 
 JOB_S = 0.2
 """At least so long takes a job of the command."""

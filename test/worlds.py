@@ -3,7 +3,8 @@
 import numpy as np
 
 from msg_defs.types import CameraMount, ObservationSet, RobotFrame
-from multi_robot_slam.filter.rbpf import FilterSettings, MotionSettings
+from multi_robot_slam.filter.settings import FilterSettings
+from multi_robot_slam.models.motion import MotionSettings
 
 MOUNT = CameraMount(forward_m=0.1, left_m=0.06, up_m=1.0)
 START = np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 1.5], [2.0, 3.0, -2.0]])

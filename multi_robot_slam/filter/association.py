@@ -9,6 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from multi_robot_slam.models.descriptors import squared_distances
+
 
 class Candidates(NamedTuple):
     """For each of B observations the landmark columns it may be, in ascending E."""
@@ -70,12 +72,3 @@ def find_candidates(
     starts = np.searchsorted(rows, np.arange(count + 1)).astype(np.int32)
     signed = np.concatenate([known_columns, -1 - np.arange(count)]).astype(np.int32)
     return Candidates(starts, signed[columns], distance[rows, columns])
-
-
-def squared_distances(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """E (19) between the rows of `a` (B, 128) and of `b` (N, 128): (B, N)."""
-    products = a @ b.T
-    products *= -2
-    products += np.einsum("ij,ij->i", b, b)
-    products += np.einsum("ij,ij->i", a, a)[:, None]
-    return products

@@ -10,8 +10,7 @@ relaxed: the same numbers come out however wide the SIMD registers are and whate
 import numpy as np
 from numba import njit
 
-BLOCK = 256
-"""Particles handled together."""
+from multi_robot_slam.models.parallel import BLOCK
 
 PLANES = 9
 """Numbers of a landmark per particle: mean x y z, covariance xx xy xz yy yz zz."""

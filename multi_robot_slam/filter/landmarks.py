@@ -9,7 +9,8 @@ generation, and the column is gathered only when it is next observed.
 import numpy as np
 
 from msg_defs.types import DESCRIPTOR_SIZE
-from multi_robot_slam.filter import kernels, parallel
+from multi_robot_slam.filter import kernels
+from multi_robot_slam.models import parallel
 
 FREE = -1
 """Id of a column that holds no landmark."""

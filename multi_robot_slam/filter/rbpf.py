@@ -1,75 +1,33 @@
 """Algorithm 1: one particle set over the poses of K robots, each with a map of small EKFs."""
 
-import os
-from dataclasses import field
-from typing import Annotated, Literal, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from annotated_types import Gt, Interval
 
 from msg_defs.types import (
     DESCRIPTOR_SIZE,
     CameraMount,
     ObservationSet,
     RobotFrame,
-    settings,
 )
 from multi_robot_slam.filter import (
     association,
     informed,
     kernels,
-    motion,
-    parallel,
     rejuvenation,
     resampling,
     sightings,
-    stereo,
 )
 from multi_robot_slam.filter.history import History
 from multi_robot_slam.filter.landmarks import Landmarks
-from multi_robot_slam.filter.motion import MotionSettings
-from multi_robot_slam.filter.odometry_scale import Scales, scaled
-from multi_robot_slam.filter.rejuvenation import Associations, Rejuvenated, RejuvenationSettings
+from multi_robot_slam.filter.rejuvenation import Rejuvenated
+from multi_robot_slam.filter.settings import FilterSettings, threads
 from multi_robot_slam.filter.state import State, resample
-
-WORTH_A_THREAD = 2048
-"""Particles that make a second thread pay."""
+from multi_robot_slam.models import motion, parallel, stereo
+from multi_robot_slam.smoothing.odometry_scale import Scales, scaled
 
 MANY_SIGMA = 10.0
 """No belief moves a pose further from its prediction."""
-
-
-@settings
-class FilterSettings:
-    """Settings of the particle filter."""
-
-    particles: Annotated[int, Interval(ge=1, le=100_000), "number of particles M"] = 500
-    gate: Annotated[
-        float, Gt(0), "D_0, squared Mahalanobis distance; the 99 % quantile of chi2 with 3 dof"
-    ] = 11.345
-    descriptor_gate: Annotated[float, Gt(0), "E_0, squared descriptor distance"] = 0.04
-    sighting_gate: Annotated[
-        float, Gt(0), "of a robot seen, squared Mahalanobis distance; 99 % of chi2 with 2 dof"
-    ] = 9.21
-    robust_above: Annotated[
-        float,
-        Gt(0),
-        "in smoothing, D up to which an observation or sighting counts in full; far above, nothing",
-    ] = 11.345
-    resample_below: Annotated[
-        float, Interval(ge=0, le=1), "resample below this share of M effective; 1 = every step"
-    ] = 0.5
-    proposal: Annotated[
-        Literal["motion", "informed"], "motion: the paper's (7); informed: knows the observations"
-    ] = "informed"
-    exclusive: Annotated[
-        bool, "whether two observations of one frame may not be the same landmark"
-    ] = True
-    threads: Annotated[
-        int, Interval(ge=0, le=256), "threads of the filter; 0 chooses; no effect on results"
-    ] = 0
-    motion: MotionSettings = field(default_factory=MotionSettings)
-    rejuvenation: RejuvenationSettings = field(default_factory=RejuvenationSettings)
 
 
 class FrameInfo(NamedTuple):
@@ -161,26 +119,11 @@ def step(
         ancestors = resampling.systematic(weights, rng.random())
         resample(state, ancestors)
     if rejuvenation.is_due(state, settings.rejuvenation):
-        rejuvenated = _rejuvenate(state, settings, mount, rng)
+        rejuvenated = rejuvenation.rejuvenate(state, settings, mount, rng)
         ancestors = rejuvenated.ancestors if ancestors is None else ancestors[rejuvenated.ancestors]
         weights = resampling.normalise(state.log_weights)
         around = tuple(moments(state.poses[frame.robot], weights) for frame in frames)
     return StepInfo(tuple(infos), effective, around, ancestors, rejuvenated)
-
-
-def _rejuvenate(
-    state: State, settings: FilterSettings, mount: CameraMount, rng: np.random.Generator
-) -> Rejuvenated:
-    associations = Associations(
-        settings.gate,
-        settings.robust_above,
-        settings.descriptor_gate,
-        settings.exclusive,
-        settings.motion,
-        mount,
-        threads(settings),
-    )
-    return rejuvenation.rejuvenate(state, settings.rejuvenation, associations, rng)
 
 
 def propose_by_motion(
@@ -431,13 +374,6 @@ def _as_seen(poses: np.ndarray, dtype: np.dtype) -> np.ndarray:
     return seen
 
 
-def threads(settings: FilterSettings) -> int:
-    """How many threads to use; the choice has no effect on results."""
-    if settings.threads:
-        return settings.threads
-    return min(len(os.sched_getaffinity(0)), settings.particles // WORTH_A_THREAD) or 1
-
-
 def best_particle(state: State) -> int:
     """The particle with the largest sum of log weights (17)."""
     return int(np.argmax(state.log_weight_sum))
@@ -465,4 +401,4 @@ def warm_up(settings: FilterSettings, mount: CameraMount) -> None:
         frames = [RobotFrame(robot, 0, np.array([0.1, 0, 0.1]), seen) for robot in range(2)]
         step(state, frames, settings, mount, rng)
     if settings.rejuvenation.ancestors_below > 0:
-        _rejuvenate(state, settings, mount, rng)
+        rejuvenation.rejuvenate(state, settings, mount, rng)

@@ -19,59 +19,26 @@ bounded; how the oldest part lies in `map` is then taken for certain.
 """
 
 from itertools import islice
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from annotated_types import Ge, Interval
 from scipy.optimize import brentq
 
-from msg_defs.types import CameraMount, settings
-from multi_robot_slam.filter import joining, resampling, smoothing, whole_paths
+from msg_defs.types import CameraMount
+from multi_robot_slam.filter import resampling
 from multi_robot_slam.filter.history import Past, Record
-from multi_robot_slam.filter.motion import MotionSettings
-from multi_robot_slam.filter.odometry_scale import learn
-from multi_robot_slam.filter.smoothing import Smoothed
-from multi_robot_slam.filter.smoothing_problem import Problem, problem_of
+from multi_robot_slam.filter.settings import FilterSettings, RejuvenationSettings, threads
 from multi_robot_slam.filter.state import Settled, State, resample
+from multi_robot_slam.smoothing import draws, joining, solve
+from multi_robot_slam.smoothing.odometry_scale import learn
+from multi_robot_slam.smoothing.problem import Problem, problem_of
+from multi_robot_slam.smoothing.solve import Smoothed
 
 NEAR_ENOUGH = 0.1
 """Distance from the optimum, in standard deviations, at which smoothing ends.
 
 The importance weights are exact around any centre.
 """
-
-
-@settings
-class RejuvenationSettings:
-    """When and how the particles return to the posterior of all paths."""
-
-    ancestors_below: Annotated[
-        float,
-        Interval(ge=0, le=1),
-        "rejuvenate when the particles descend from less than this share of those of the last "
-        "time; 0 is never",
-    ] = 0.0
-    rest: Annotated[int, Ge(1), "fewest steps between two rejuvenations"] = 1
-    window: Annotated[
-        int, Ge(1), "poses of all robots that are drawn anew; older ones stay as they are"
-    ] = 600
-    share: Annotated[
-        float,
-        Interval(gt=0, le=1),
-        "smallest share of the particles with one association history that is rejuvenated",
-    ] = 0.1
-
-
-class Associations(NamedTuple):
-    """What the rejuvenation needs to know of the filter's settings."""
-
-    gate: float
-    robust_above: float
-    descriptor_gate: float
-    exclusive: bool
-    motion: MotionSettings
-    mount: CameraMount
-    threads: int
 
 
 class Heirs:
@@ -120,27 +87,24 @@ def is_due(state: State, settings: RejuvenationSettings) -> bool:
 
 
 def rejuvenate(
-    state: State,
-    settings: RejuvenationSettings,
-    associations: Associations,
-    rng: np.random.Generator,
+    state: State, settings: FilterSettings, mount: CameraMount, rng: np.random.Generator
 ) -> Rejuvenated:
     """Draw the paths of all particles anew, in place."""
     weights = resampling.normalise(state.log_weights)
     ancestors = resampling.systematic(weights, rng.random())
     resample(state, ancestors)
     groups = _groups(state)
-    shared = [g for g in groups if len(g) >= settings.share * len(weights)]
-    alike = _alike(state, associations.descriptor_gate)
-    drawn = [_draw(state, group, alike, associations, rng) for group in shared]
+    shared = [g for g in groups if len(g) >= settings.rejuvenation.share * len(weights)]
+    alike = _alike(state, settings.descriptor_gate)
+    drawn = [_draw(state, group, alike, settings, mount, rng) for group in shared]
     state.history.rewrite([group.past for group in drawn], state.settled.count)
     for group in drawn:
-        _go_on(state, group, associations)
+        _go_on(state, group, settings)
     if drawn:
-        _settle(state, drawn[0], settings.window)
+        _settle(state, drawn[0], settings.rejuvenation.window)
     state.origins = np.arange(len(weights), dtype=np.int32)
     state.origin_step = state.steps
-    state.landmarks.bound(state.landmarks.alive(), associations.gate)
+    state.landmarks.bound(state.landmarks.alive(), settings.gate)
     return Rejuvenated(
         ancestors,
         len(shared),
@@ -192,19 +156,20 @@ def _draw(
     state: State,
     members: np.ndarray,
     alike: np.ndarray,
-    associations: Associations,
+    settings: FilterSettings,
+    mount: CameraMount,
     rng: np.random.Generator,
 ) -> Drawn:
     """Smooth the history `members` share, and draw a path for each; the first is the optimum."""
     records, poses, identities = _past(state, members)
     problem, smoothed, heirs = _smooth(
-        state.scales.factors, state.settled, records, poses, identities, alike, associations
+        state.scales.factors, state.settled, records, poses, identities, alike, settings, mount
     )
     normals = rng.standard_normal((smoothed.factor.size, len(members)), np.float32)
     normals[:, 0] = 0
-    paths, drawn_densities = whole_paths.draw(problem, smoothed, normals)
-    planes, densities = whole_paths.landmarks_and_log_density(
-        problem, paths, smoothed.weights, state.landmarks.planes.dtype, associations.threads
+    paths, drawn_densities = draws.draw(problem, smoothed, normals)
+    planes, densities = draws.landmarks_and_log_density(
+        problem, paths, smoothed.weights, state.landmarks.planes.dtype, threads(settings)
     )
     exact = densities - drawn_densities
     log_weights = tempered(exact)
@@ -252,7 +217,8 @@ def _smooth(
     poses: np.ndarray,
     identities: list[np.ndarray],
     alike: np.ndarray,
-    associations: Associations,
+    settings: FilterSettings,
+    mount: CameraMount,
 ) -> tuple[Problem, Smoothed, Heirs]:
     """Smooth, join landmarks that turn out to be one, repeat until none do."""
     heirs = Heirs()
@@ -261,20 +227,20 @@ def _smooth(
             records,
             [heirs.of(own) for own in identities],
             settled.start_poses,
-            associations.motion,
-            associations.mount,
+            settings.motion,
+            mount,
             settled.known._replace(ids=heirs.of(settled.known.ids)),
             factors,
         )
-        smoothed = smoothing.smooth(problem, poses, associations.robust_above, NEAR_ENOUGH)
+        smoothed = solve.smooth(problem, poses, settings.robust_above, NEAR_ENOUGH)
         pairs = heirs.of(alike)
         pairs = pairs[np.isin(pairs, problem.ids).all(axis=1) & (pairs[:, 0] != pairs[:, 1])]
         rows = joining.joined(
             problem,
             smoothed,
             np.searchsorted(problem.ids, pairs),
-            associations.gate,
-            associations.exclusive,
+            settings.gate,
+            settings.exclusive,
         )
         if not len(rows):
             return problem, smoothed, heirs
@@ -282,14 +248,14 @@ def _smooth(
         heirs = heirs.and_then(problem.ids[rows])
 
 
-def _go_on(state: State, drawn: Drawn, associations: Associations) -> None:
+def _go_on(state: State, drawn: Drawn, settings: FilterSettings) -> None:
     """The members go on from their new pasts."""
     members, paths = drawn.past.members, drawn.past.paths
     last = {int(robot): p for p, robot in enumerate(drawn.problem.robots)}
     for robot, p in last.items():
         state.poses[robot][:, members] = paths[p]
     ids = drawn.problem.ids.astype(np.int32)
-    state.landmarks.rewrite(members, ids, drawn.planes, associations.threads)
+    state.landmarks.rewrite(members, ids, drawn.planes, threads(settings))
     state.log_weights[members] = drawn.log_weights
     state.log_weight_sum[members] = np.log(len(members)) + drawn.log_densities
 
@@ -306,5 +272,5 @@ def _settle(state: State, drawn: Drawn, window: int) -> None:
     motions = np.array([record.motion for record in records[settled.count :]])
     share = count / len(motions)
     state.scales = learn(state.scales, drawn.problem, drawn.smoothed, motions, share)
-    start_poses, known = smoothing.settle(drawn.problem, drawn.smoothed, count)
+    start_poses, known = solve.settle(drawn.problem, drawn.smoothed, count)
     state.settled = Settled(first, start_poses, known)

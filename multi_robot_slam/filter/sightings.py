@@ -19,8 +19,8 @@ from typing import NamedTuple
 import numpy as np
 
 from msg_defs.types import CameraMount, Sightings
-from multi_robot_slam.filter import stereo
-from multi_robot_slam.filter.history import NOBODY, Seen
+from multi_robot_slam.models import stereo
+from multi_robot_slam.models.frames import NOBODY, Seen
 
 SMALLEST_VARIANCE = 1e-18
 """Added where a covariance is inverted: a robot that stood still has none."""

@@ -7,8 +7,8 @@ import numpy as np
 
 from multi_robot_slam.filter.history import History
 from multi_robot_slam.filter.landmarks import Landmarks
-from multi_robot_slam.filter.odometry_scale import Scales
-from multi_robot_slam.filter.smoothing_problem import Known
+from multi_robot_slam.smoothing.odometry_scale import Scales
+from multi_robot_slam.smoothing.problem import Known
 
 
 class Settled(NamedTuple):

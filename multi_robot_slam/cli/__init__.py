@@ -1,0 +1,1 @@
+"""The command `multi_robot_slam`."""

@@ -1,0 +1,125 @@
+"""All at once: simulated robots, fusion and recorder as processes that talk over DDS."""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from subprocess import Popen
+
+from msg_defs import scenario_file
+from multi_robot_slam.config import SECTION, Config
+from sim_world.scenario import SECTION as WORLD_SECTION
+from sim_world.scenario import Scenario
+from sim_world.team import team_scenario
+
+END_S = 2.5
+"""How long the processes may take to end, all together."""
+RECORDER_S = 0.7
+"""How much of it is the recorder's, which ends last."""
+IDLE_S = 2.0
+IDLE_PERIODS = 4
+"""Silence after which the fusion takes the exploration for over: so long, and so many frames."""
+
+
+def configure(scenario: str, robots: int | None, seed: int) -> str:
+    """Every setting of both packages for a simulated team, as YAML."""
+    team = team_scenario(scenario, robots)
+    config = scenario_file.from_yaml(Config, team, SECTION, scenario)
+    world = scenario_file.from_yaml(Scenario, team, WORLD_SECTION, scenario)
+    return scenario_file.to_yaml(**{WORLD_SECTION: world, SECTION: replace(config, seed=seed)})
+
+
+def record(folder: Path, scenario: Path, seed: int, speed: float) -> None:
+    """Spawn recorder, fusion and robots; leave `folder/bag` when the exploration is over.
+
+    `scenario` holds what `configure` made. SIGINT, SIGTERM or a process that fails end all of
+    them, the recorder last, so that its bag is whole; then the program exits.
+    """
+    os.environ.setdefault("ROS_DOMAIN_ID", str(random.randint(1, 101)))
+    os.environ.setdefault("RCUTILS_CONSOLE_OUTPUT_FORMAT", "[{severity}] {name}: {message}")
+    print(f"ROS_DOMAIN_ID={os.environ['ROS_DOMAIN_ID']} lets other ROS tools listen", flush=True)
+    bag = folder / "bag"
+    world = scenario_file.from_file(Scenario, scenario, WORLD_SECTION)
+    idle_s = max(IDLE_S, IDLE_PERIODS * world.period_s / speed if speed else 0.0)
+    shared = f"scenario:={scenario}"
+    pace = f"seed:={seed}", f"speed:={speed}", "subscribers:=2", "truth_subscribers:=1"
+    processes: list[Popen] = []
+
+    def start(module: str, *parameters: str) -> Popen:
+        processes.append(_spawn(module, *parameters))
+        return processes[-1]
+
+    with _stops_noted() as stops:
+        try:
+            recorder = start(
+                "multi_robot_slam.nodes.recorder",
+                f"out:={bag}",
+                f"robots:=[{','.join(world.names)}]",
+            )
+            fusion = start(
+                "multi_robot_slam.nodes.fusion", shared, f"stop_after_s:={idle_s}", "subscribers:=1"
+            )
+            robots = start("sim_world.robots", shared, *pace)
+            failed = _wait(robots, [fusion, recorder], stops) or _wait(fusion, [recorder], stops)
+        finally:
+            _end(processes)
+    if failed:
+        sys.exit(f"error: {failed}; what was recorded so far is in {bag}")
+
+
+@contextmanager
+def _stops_noted() -> Iterator[list[int]]:
+    """Note the signals that ask to stop in a list; they interrupt nothing in the block."""
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:  # as `nohup` has it
+        numbers.append(signal.SIGHUP)
+    stops: list[int] = []
+    before = {n: signal.signal(n, lambda number, _: stops.append(number)) for n in numbers}
+    try:
+        yield stops
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _spawn(module: str, *parameters: str) -> Popen:
+    """Start a node in a session of its own, where no Ctrl-C of the terminal reaches it."""
+    arguments = [word for parameter in parameters for word in ("-p", parameter)]
+    return Popen([sys.executable, "-m", module, "--ros-args", *arguments], start_new_session=True)
+
+
+def _wait(process: Popen, needed: list[Popen], stops: list[int]) -> str:
+    """Wait until `process` has ended well; what went wrong if it has not, else an empty string."""
+    while process.poll() is None:
+        if stops:
+            return f"ended by {signal.Signals(stops[0]).name}"
+        for other in needed:
+            if other.poll() is not None:
+                return f"{other.args[2]} ended too early, with exit code {other.returncode}"
+        time.sleep(0.02)
+    code = process.returncode
+    return f"{process.args[2]} failed with exit code {code}" if code else ""
+
+
+def _end(processes: list[Popen]) -> None:
+    """End all by their process ids: SIGINT, for the recorder (the first) when the others ended."""
+    deadline_s = time.monotonic() + END_S
+    _end_by(processes[1:], deadline_s - RECORDER_S)
+    _end_by(processes[:1], deadline_s)
+
+
+def _end_by(processes: list[Popen], deadline_s: float) -> None:
+    for process in processes:
+        process.send_signal(signal.SIGINT)
+    for process in processes:
+        try:
+            process.wait(max(0.0, deadline_s - time.monotonic()))
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()

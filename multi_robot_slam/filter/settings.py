@@ -1,0 +1,74 @@
+"""Settings of the filter: Algorithm 1, and the return to the posterior of all paths."""
+
+import os
+from dataclasses import field
+from typing import Annotated, Literal
+
+from annotated_types import Ge, Gt, Interval
+
+from msg_defs.types import settings
+from multi_robot_slam.models.motion import MotionSettings
+
+WORTH_A_THREAD = 2048
+"""Particles that make a second thread pay."""
+
+
+@settings
+class RejuvenationSettings:
+    """When and how the particles return to the posterior of all paths."""
+
+    ancestors_below: Annotated[
+        float,
+        Interval(ge=0, le=1),
+        "rejuvenate when the particles descend from less than this share of those of the last "
+        "time; 0 is never",
+    ] = 0.0
+    rest: Annotated[int, Ge(1), "fewest steps between two rejuvenations"] = 1
+    window: Annotated[
+        int, Ge(1), "poses of all robots that are drawn anew; older ones stay as they are"
+    ] = 600
+    share: Annotated[
+        float,
+        Interval(gt=0, le=1),
+        "smallest share of the particles with one association history that is rejuvenated",
+    ] = 0.1
+
+
+@settings
+class FilterSettings:
+    """Settings of the particle filter."""
+
+    particles: Annotated[int, Interval(ge=1, le=100_000), "number of particles M"] = 500
+    gate: Annotated[
+        float, Gt(0), "D_0, squared Mahalanobis distance; the 99 % quantile of chi2 with 3 dof"
+    ] = 11.345
+    descriptor_gate: Annotated[float, Gt(0), "E_0, squared descriptor distance"] = 0.04
+    sighting_gate: Annotated[
+        float, Gt(0), "of a robot seen, squared Mahalanobis distance; 99 % of chi2 with 2 dof"
+    ] = 9.21
+    robust_above: Annotated[
+        float,
+        Gt(0),
+        "in smoothing, D up to which an observation or sighting counts in full; far above, nothing",
+    ] = 11.345
+    resample_below: Annotated[
+        float, Interval(ge=0, le=1), "resample below this share of M effective; 1 = every step"
+    ] = 0.5
+    proposal: Annotated[
+        Literal["motion", "informed"], "motion: the paper's (7); informed: knows the observations"
+    ] = "informed"
+    exclusive: Annotated[
+        bool, "whether two observations of one frame may not be the same landmark"
+    ] = True
+    threads: Annotated[
+        int, Interval(ge=0, le=256), "threads of the filter; 0 chooses; no effect on results"
+    ] = 0
+    motion: MotionSettings = field(default_factory=MotionSettings)
+    rejuvenation: RejuvenationSettings = field(default_factory=RejuvenationSettings)
+
+
+def threads(settings: FilterSettings) -> int:
+    """How many threads to use; the choice has no effect on results."""
+    if settings.threads:
+        return settings.threads
+    return min(len(os.sched_getaffinity(0)), settings.particles // WORTH_A_THREAD) or 1

@@ -1,0 +1,1 @@
+"""The ROS nodes: fusion, recorder, replay."""

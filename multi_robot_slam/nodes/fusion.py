@@ -1,0 +1,295 @@
+"""ROS: odometry and observations of the team in, poses and the landmark map out."""
+
+import sys
+import time
+from collections import Counter, deque
+from collections.abc import Callable
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from annotated_types import Ge, Gt
+from rclpy.clock import JumpThreshold
+from rclpy.duration import Duration
+
+from msg_defs import scenario_file as yaml_settings
+from msg_defs import topics, wire
+from msg_defs.errors import InputError
+from msg_defs.ros import node
+from msg_defs.types import Estimate, Event, StepRecord, settings
+from multi_robot_slam.config import SECTION, Config
+from multi_robot_slam.models.motion import increment, move
+from multi_robot_slam.pipeline.pipeline import Pipeline
+from multi_robot_slam.pipeline.rewind import Rewind
+
+DIAGNOSTICS_PERIOD_S = 1.0
+PROGRESS_PERIOD_S = 0.9
+WARNING_PERIOD_S = 5.0
+POLL_S = 0.01
+
+
+@settings
+class Publishing:
+    """What the node does with the estimate."""
+
+    picture_period_s: Annotated[float, Gt(0), "time between two maps, paths, particles [s]"] = 1.0
+    idle_s: Annotated[float, Gt(0), "silence after which frames held back are filtered [s]"] = 2.0
+    stop_after_s: Annotated[float, Ge(0), "silence after which the node ends; 0 is never [s]"] = 0.0
+    silent_s: Annotated[float, Gt(0), "silence after which a robot is reported [s]"] = 5.0
+    publish_tf: Annotated[bool, "publish the transform map -> <robot>/odom"] = True
+    subscribers: Annotated[
+        int, Ge(0), "subscribers to wait for on fusion/steps and each pose before filtering"
+    ] = 0
+
+
+class Message(NamedTuple):
+    """One message as it came in."""
+
+    arrived_s: float
+    """Monotonic clock [s]."""
+    robot: str
+    decode: Callable[[bytes, str], Event]
+    data: bytes
+
+
+class Fusion(node.EdgeNode):
+    """Decodes what arrives, hands it to the pipeline, publishes what comes back.
+
+    Messages wait in a queue without limit: however long a step takes, none is lost. When time goes
+    back, of `/clock` under use_sim_time or of the whole team's stamps, the fusion starts over.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("fusion")
+        config, self._settings = node.declare(self, Config, Publishing, section=SECTION)
+        self._config = config
+        self._health = Health(config.robots, self._settings.silent_s)
+        self._begin()
+        self.get_logger().info("loading the filter, which is compiled the first time")
+        self._pipeline.warm_up()
+        self._inbox: deque[Message] = deque()
+        self._outputs = {t: node.publisher(self, t) for t in self._output_topics()}
+        kinds = (topics.pose, topics.mean_pose)
+        lossless = [topics.STEPS, *(kind(robot) for robot in config.robots for kind in kinds)]
+        self._unheard = [self._outputs[topic] for topic in lossless]
+        config_yaml = yaml_settings.to_yaml(**{SECTION: config})
+        self._publish(topics.FUSION_CONFIG, wire.encode_text(config_yaml))
+        for robot in config.robots:
+            self._listen(robot, topics.odometry(robot), wire.decode_pose)
+            self._listen(robot, topics.observations(robot), wire.decode_observations)
+            if config.sightings:
+                self._listen(robot, topics.sightings(robot), wire.decode_sightings)
+        back = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1))
+        self._jumps = self.get_clock().create_jump_callback(
+            back, post_callback=lambda _: self._rewind.clock_went_back()
+        )
+        self.create_timer(self._settings.picture_period_s, self._publish_pictures)
+        self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics)
+        self.get_logger().info(f"ready for {', '.join(config.robots)}")
+
+    def work(self) -> float:
+        """Handle the oldest message; after a silence, the frames held back."""
+        silence_s = self._health.silence_s()
+        if self._inbox and self._waits_for_subscribers():
+            return POLL_S
+        if self._inbox:
+            self._handle(self._inbox.popleft())
+        elif self._pipeline.pending and silence_s > self._settings.idle_s:
+            self._publish_steps(self._pipeline.finish())
+            self._publish_pictures()
+        elif 0 < self._settings.stop_after_s < silence_s < np.inf:
+            self.done = not self._pipeline.pending
+        return 0.0 if self._inbox else node.SPIN_TIMEOUT_S
+
+    def close(self) -> None:
+        """Publish the final paths, map and counts."""
+        self._publish_pictures()
+        messages, frames = len(self._inbox), self._pipeline.pending
+        if messages or frames:
+            self._warn(f"ended with {messages} messages and {frames} frames unfiltered")
+        self._publish_diagnostics()
+
+    def _output_topics(self) -> list[topics.Topic]:
+        outputs = topics.fusion_outputs(self._config.robots)
+        wants_tf = self._settings.publish_tf and node.is_available(topics.TF)
+        return [topic for topic in outputs if wants_tf or topic != topics.TF]
+
+    def _begin(self) -> None:
+        self._pipeline = Pipeline(self._config, self._warn)
+        self._rewind = Rewind(int(self._config.reorder_window_s * 1e9))
+        self._has_news = False
+
+    def _publish(self, topic: topics.Topic, data: bytes) -> None:
+        self._outputs[topic].publish(data)
+
+    def _listen(
+        self, robot: str, topic: topics.Topic, decode: Callable[[bytes, str], Event]
+    ) -> None:
+        def keep(data: bytes) -> None:
+            self._inbox.append(Message(time.monotonic(), robot, decode, data))
+            self._health.hear(robot)
+
+        node.subscribe(self, topic, keep)
+
+    def _waits_for_subscribers(self) -> bool:
+        """What is published before a recorder knows of it is lost; so what comes in waits."""
+        self._unheard = [
+            publisher
+            for publisher in self._unheard
+            if publisher.get_subscription_count() < self._settings.subscribers
+        ]
+        if self._unheard:
+            missing = ", ".join(publisher.topic_name for publisher in self._unheard)
+            text = f"waiting for subscribers of {missing}"
+            self.get_logger().info(text, throttle_duration_sec=WARNING_PERIOD_S)
+        return bool(self._unheard)
+
+    def _handle(self, message: Message) -> None:
+        self._health.lag_s = time.monotonic() - message.arrived_s
+        try:
+            event = message.decode(message.data, message.robot)
+        except InputError as error:
+            self._pipeline.refuse(error)
+        else:
+            if self._rewind.note(event):
+                self._start_over()
+            else:
+                self._publish_steps(self._pipeline.handle(event))
+
+    def _start_over(self) -> None:
+        """End one run, and begin another with what has come of it already."""
+        self.get_logger().warning("time went back: starting over with the same configuration")
+        self._publish_steps(self._pipeline.finish())
+        self._publish_pictures()
+        beginning = self._rewind.beginning()
+        self._begin()
+        self._health.start_over()
+        for event in beginning:
+            self._rewind.note(event)
+            self._publish_steps(self._pipeline.handle(event))
+
+    def _publish_steps(self, steps: list[StepRecord]) -> None:
+        newest: dict[str, Estimate] = {}
+        for step in steps:
+            self._health.note(step)
+            self._publish(topics.STEPS, wire.encode_step(step))
+            for estimate in step.estimates:
+                self._publish(topics.pose(estimate.robot), wire.encode_estimate(estimate))
+                self._publish(topics.mean_pose(estimate.robot), wire.encode_mean(estimate))
+                newest[estimate.robot] = estimate
+        if topics.TF in self._outputs:
+            for estimate in newest.values():
+                self._publish(topics.TF, self._transform(estimate))
+        self._has_news |= bool(steps)
+
+    def _transform(self, estimate: Estimate) -> bytes:
+        """Pose of the robot's `odom` frame in `map` that puts its odometry at the estimate."""
+        odometry = self._pipeline.odometry_pose(estimate.robot)
+        pose = odom_in_map(estimate.pose, odometry)
+        frame_id = topics.odom_frame(estimate.robot)
+        return wire.encode_transform(estimate.stamp_ns, topics.MAP_FRAME, frame_id, pose)
+
+    def _publish_pictures(self) -> None:
+        if not self._has_news:
+            return
+        self._has_news = False
+        stamp_ns = self._health.step.stamp_ns
+        landmarks, paths = self._pipeline.landmark_map(), self._pipeline.trajectories()
+        self._health.landmarks = len(landmarks.ids)
+        self._publish(topics.MAP_LANDMARKS, wire.encode_map(landmarks, stamp_ns))
+        self._publish(topics.MAP_MARKERS, wire.encode_markers(landmarks, paths, stamp_ns))
+        for robot, path in paths.items():
+            particles = self._pipeline.particles(robot)
+            self._publish(topics.path(robot), wire.encode_path(path, stamp_ns))
+            self._publish(topics.particles(robot), wire.encode_particles(particles, stamp_ns))
+        self.get_logger().info(self._health.progress(), throttle_duration_sec=PROGRESS_PERIOD_S)
+
+    def _publish_diagnostics(self) -> None:
+        dropped, pending = self._pipeline.dropped, self._pipeline.pending
+        statuses = self._health.statuses(len(self._inbox), pending, dropped)
+        stamp_ns = self.get_clock().now().nanoseconds
+        self._publish(topics.DIAGNOSTICS, wire.encode_diagnostics(stamp_ns, statuses))
+
+    def _warn(self, text: str) -> None:
+        self.get_logger().warning(text, throttle_duration_sec=WARNING_PERIOD_S)
+
+
+class Health:
+    """What `/diagnostics` tells."""
+
+    def __init__(self, robots: tuple[str, ...], silent_s: float) -> None:
+        self.lag_s = 0.0
+        self.landmarks = 0
+        self.step: StepRecord | None = None
+        self._silent_s = silent_s
+        self._heard_s = dict.fromkeys(robots, -np.inf)
+        self._frames = dict.fromkeys(robots, 0)
+
+    def start_over(self) -> None:
+        """Forget the steps."""
+        self.landmarks, self.step = 0, None
+        self._frames = dict.fromkeys(self._frames, 0)
+
+    def hear(self, robot: str) -> None:
+        """A message of `robot` arrived now."""
+        self._heard_s[robot] = time.monotonic()
+
+    def note(self, step: StepRecord) -> None:
+        """A step was done."""
+        self.step = step
+        for frame in step.frames:
+            self._frames[frame.robot] += 1
+
+    def progress(self) -> str:
+        """One line about the last step."""
+        step = self.step
+        return (
+            f"step {step.step}, {len(step.frames)} robots, {self.landmarks} landmarks, "
+            f"{step.effective_particles:.0f} effective particles, lag {self.lag_s:.2f} s"
+        )
+
+    def silence_s(self) -> float:
+        """Time since the last message of any robot [s]."""
+        return time.monotonic() - max(self._heard_s.values())
+
+    def statuses(self, queued: int, pending: int, dropped: Counter[str]) -> list[wire.Status]:
+        """One status for the filter, one for each robot."""
+        values = {
+            "steps": self.step.step if self.step else 0,
+            "landmarks": self.landmarks,
+            "effective particles": f"{self.step.effective_particles:.1f}" if self.step else "",
+            "step duration [ms]": f"{self.step.duration_ms:.1f}" if self.step else "",
+            "messages in the queue": queued,
+            "frames held back": pending,
+            "lag [s]": f"{self.lag_s if queued else 0:.3f}",
+            **{f"dropped: {reason}": count for reason, count in sorted(dropped.items())},
+        }
+        level, message = (wire.WARN, "messages were dropped") if dropped else (wire.OK, "running")
+        filter_status = wire.Status("fusion", _texts(values), level, message)
+        return [filter_status, *(self._robot_status(robot) for robot in self._heard_s)]
+
+    def _robot_status(self, robot: str) -> wire.Status:
+        silence_s = time.monotonic() - self._heard_s[robot]
+        is_silent = silence_s > self._silent_s
+        level, message = (wire.WARN, "silent") if is_silent else (wire.OK, "heard")
+        values = {"last heard [s ago]": f"{silence_s:.1f}", "frames": self._frames[robot]}
+        return wire.Status(f"fusion: {robot}", _texts(values), level, message, robot)
+
+
+def odom_in_map(estimate: np.ndarray, odometry: np.ndarray) -> np.ndarray:
+    """Pose (3,) of `odom` in `map` that puts the `odometry` pose (3,) at the `estimate` (3,)."""
+    pose = estimate[:, None].copy()
+    move(pose, increment(odometry, np.zeros(3))[:, None])
+    return pose[:, 0]
+
+
+def _texts(values: dict[str, object]) -> dict[str, str]:
+    return {key: str(value) for key, value in values.items()}
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the fusion until interrupted; the exit code."""
+    return node.spin(Fusion, args)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

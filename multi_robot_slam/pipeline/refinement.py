@@ -1,0 +1,201 @@
+"""Batch smoothing of a whole run: the filter's answer refined, and the yardstick it is held to."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from msg_defs.types import LandmarkMap, Trajectory
+from multi_robot_slam.config import Config
+from multi_robot_slam.models import stereo
+from multi_robot_slam.models.frames import Record
+from multi_robot_slam.models.motion import wrap
+from multi_robot_slam.pipeline.pipeline import Pipeline
+from multi_robot_slam.runs.run import Run
+from multi_robot_slam.smoothing import joining, solve
+from multi_robot_slam.smoothing.odometry_scale import Scales, learn
+from multi_robot_slam.smoothing.problem import Problem, problem_of
+from multi_robot_slam.smoothing.solve import Smoothed
+
+Lineage = Sequence[tuple[Record, int]]
+"""The past of one particle, oldest first: its row in each record (`Pipeline.lineage`)."""
+
+MAX_FRAMES = 20_000
+"""Smoothing so many took 10 s and 1.2 GB in simulated tours; both grow with their square."""
+
+AT_A_TIME = 64
+"""Landmarks whose deviations, as long as all paths, are in memory together."""
+
+SMALLEST_CHANGE = 1e-4
+"""Of a factor of the odometry [1]: a millimetre in ten metres; then paths and factors are done."""
+MOST_ROUNDS = 20
+"""Of smoothing and learning the factors; in a usual run they need four."""
+
+
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """The most likely paths and map, given what the best particle took for what."""
+
+    paths: dict[str, Trajectory]
+    landmarks: LandmarkMap
+    """With marginal covariances; a landmark the filter had split keeps the oldest of its ids."""
+
+
+def complete(run: Run, pipeline: Pipeline, with_refined: bool = False) -> Run:
+    """The run with what only the filter's history tells.
+
+    The mean of all particles' paths, the yardstick, and, if wanted, the refined paths and map.
+    """
+    lineage = pipeline.lineage()
+    run = with_yardstick(run.with_paths(mean=pipeline.mean_trajectories()), lineage)
+    if not with_refined:
+        return run
+    if len(lineage) > MAX_FRAMES:
+        warning = f"not refined: {len(lineage)} frames, and {MAX_FRAMES} are the most"
+        return replace(run, warnings=(*run.warnings, warning))
+    refined = refine(lineage, run.landmarks, run.config)
+    run = run.with_paths(refined=refined.paths)
+    return replace(run, refined_landmarks=refined.landmarks)
+
+
+def with_yardstick(run: Run, lineage: Lineage) -> Run:
+    """The run with the yardstick, if all associations are known and the frames not too many."""
+    batch = None
+    if len(lineage) <= MAX_FRAMES:
+        batch = yardstick(lineage, run.observation_truth, run.config)
+    return run if batch is None else run.with_paths(batch=batch)
+
+
+def refine(lineage: Lineage, landmarks: LandmarkMap, config: Config) -> Refined:
+    """Smooth over the best particle's associations, robustly, and join landmarks it had split.
+
+    Smooth, with the factors of the odometry if those are in doubt; join (`joining`); repeat until
+    no landmarks join.
+
+    Parameters
+    ----------
+    lineage : the best particle's past; `landmarks` : its map (`Pipeline.landmark_map`).
+
+    """
+    if not lineage:
+        return Refined({}, landmarks)
+    records = [record for record, _ in lineage]
+    poses = np.array([record.poses[:, row] for record, row in lineage])
+    seen = [np.searchsorted(landmarks.ids, record.matches[:, row]) for record, row in lineage]
+    settings, scales = config.filter, _scales(config)
+    alike = joining.alike(landmarks.descriptors, settings.descriptor_gate)
+    owner = np.arange(len(landmarks.ids))
+    while True:
+        identities = [owner[rows] for rows in seen]
+        problem, smoothed, scales = _smooth(
+            records, identities, poses, scales, settings.robust_above, config
+        )
+        poses = smoothed.poses
+        pairs = np.searchsorted(problem.ids, _distinct(owner[alike]))
+        joined = joining.joined(problem, smoothed, pairs, settings.gate, settings.exclusive)
+        if not len(joined):
+            break
+        heir = np.arange(len(owner))
+        heir[problem.ids[joined[:, 1]]] = problem.ids[joined[:, 0]]
+        owner = heir[owner]
+    return Refined(_trajectories(records, poses, config), _map(problem, smoothed, landmarks))
+
+
+def yardstick(
+    lineage: Lineage, truth: Mapping[tuple[str, int], np.ndarray], config: Config
+) -> dict[str, Trajectory] | None:
+    """The best answer there is: paths by least squares with the true associations.
+
+    What is certainly a gross error, as real recordings have them, counts less: D that not even one
+    of all the run's observations should reach. Without any, these are plain least squares.
+
+    Parameters
+    ----------
+    lineage : any particle's past; only where it starts the search from is its own.
+    truth : (robot, stamp_ns) -> (B,) true landmark of each observation; with that of one frame
+        missing there is no yardstick.
+
+    """
+    records = [record for record, _ in lineage]
+    keys = [(config.robots[record.robot], record.stamp_ns) for record in records]
+    identities = [truth.get(key, ()) for key in keys]
+    known = [len(rows) == len(r.positions) for rows, r in zip(identities, records, strict=True)]
+    if not records or not all(known):
+        return None
+    poses = np.array([record.poses[:, row] for record, row in lineage])
+    certain = joining.widened_gate(config.filter.robust_above, sum(map(len, identities)))
+    _, smoothed, _ = _smooth(records, identities, poses, _scales(config), certain, config)
+    return _trajectories(records, smoothed.poses, config)
+
+
+def _smooth(
+    records: Sequence[Record],
+    identities: list[np.ndarray],
+    poses: np.ndarray,
+    scales: Scales,
+    robust_above: float,
+    config: Config,
+) -> tuple[Problem, Smoothed, Scales]:
+    """The optimum of the paths and of the odometry's factors, from `poses` (P, 3) and `scales`."""
+    motion, starts = config.filter.motion, np.array(config.start_poses)
+    motions = np.array([record.motion for record in records])
+    for _ in range(MOST_ROUNDS):
+        problem = problem_of(
+            records, identities, starts, motion, config.mount, factors=scales.factors
+        )
+        smoothed = solve.smooth(problem, poses, robust_above)
+        learnt = learn(scales, problem, smoothed, motions, settled=0.0)
+        if np.abs(learnt.factors - scales.factors).max() < SMALLEST_CHANGE:
+            break
+        scales, poses = learnt, smoothed.poses
+    return problem, smoothed, scales
+
+
+def _scales(config: Config) -> Scales:
+    return Scales.unknown(len(config.robots), config.filter.motion.scale_sigma)
+
+
+def _distinct(pairs: np.ndarray) -> np.ndarray:
+    """Each pair (A, 2) of different members once, the smaller first."""
+    pairs = np.unique(np.sort(pairs, axis=1), axis=0)
+    return pairs[pairs[:, 0] < pairs[:, 1]]
+
+
+def _trajectories(
+    records: Sequence[Record], poses: np.ndarray, config: Config
+) -> dict[str, Trajectory]:
+    robots = np.array([record.robot for record in records])
+    stamps = np.array([record.stamp_ns for record in records], np.int64)
+    wrapped = np.column_stack([poses[:, :2], wrap(poses[:, 2])])
+    return {
+        config.robots[robot]: Trajectory(stamps[robots == robot], wrapped[robots == robot])
+        for robot in np.unique(robots)
+    }
+
+
+def _map(problem: Problem, smoothed: Smoothed, landmarks: LandmarkMap) -> LandmarkMap:
+    robots = np.zeros(len(problem.ids), np.uint32)
+    np.bitwise_or.at(robots, problem.landmarks, _bits(problem))
+    return LandmarkMap(
+        ids=landmarks.ids[problem.ids],
+        positions=smoothed.landmarks[:, :3].astype(np.float32),
+        covariances=_marginal_covariances(problem, smoothed).astype(np.float32),
+        observations=np.diff(problem.starts).astype(np.uint32),
+        robots=robots,
+        descriptors=landmarks.descriptors[problem.ids],
+    )
+
+
+def _marginal_covariances(problem: Problem, smoothed: Smoothed) -> np.ndarray:
+    """(N, 6) of the landmarks [m^2]."""
+    covariances = smoothed.landmarks[:, 3:].copy()
+    for start in range(0, len(covariances), AT_A_TIME):
+        wanted = np.arange(start, min(start + AT_A_TIME, len(covariances)))
+        deviations = solve.landmark_deviations(problem, smoothed, wanted)
+        covariances[wanted] += stereo.pack(deviations @ deviations.transpose(0, 2, 1))
+    return covariances
+
+
+def _bits(problem: Problem) -> np.ndarray:
+    """(O,) the bit of the robot that made each observation."""
+    return np.uint32(1) << problem.robots[problem.seen_from].astype(np.uint32)

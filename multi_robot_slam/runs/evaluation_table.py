@@ -1,0 +1,107 @@
+"""Figures of merit (`evaluation.evaluate`) for people to read."""
+
+from collections.abc import Collection, Iterator
+
+from rich.box import SIMPLE
+from rich.table import Table
+from rich.text import Text
+
+from multi_robot_slam.runs.run import TEAM
+
+SECTIONS = {
+    "path [m]": {
+        "odometry_path_rmse_m": "odometry",
+        "path_rmse_m": "estimate",
+        "path_aligned_rmse_m": "estimate, aligned alone",
+        "path_team_aligned_rmse_m": "estimate, aligned as a team",
+        "online_path_rmse_m": "as published",
+        "online_path_aligned_rmse_m": "as published, aligned alone",
+        "mean_path_rmse_m": "mean of the particles",
+        "refined_path_rmse_m": "refined",
+        "refined_path_aligned_rmse_m": "refined, aligned alone",
+        "batch_path_rmse_m": "yardstick",
+    },
+    "heading [rad]": {
+        "odometry_heading_rmse_rad": "odometry",
+        "heading_rmse_rad": "estimate",
+        "heading_aligned_rmse_rad": "estimate, aligned alone",
+        "heading_team_aligned_rmse_rad": "estimate, aligned as a team",
+        "refined_heading_rmse_rad": "refined",
+        "batch_heading_rmse_rad": "yardstick",
+    },
+    "motion": {
+        "rte_1m_rmse_m": "over 1 m [m]",
+        "rte_1m_rmse_rad": "over 1 m [rad]",
+        "rte_10m_rmse_m": "over 10 m [m]",
+        "rte_10m_rmse_rad": "over 10 m [rad]",
+    },
+    "map [m]": {
+        "map_rmse_m": "estimate",
+        "map_aligned_rmse_m": "estimate, aligned",
+        "refined_map_rmse_m": "refined",
+        "refined_map_aligned_rmse_m": "refined, aligned",
+    },
+    "landmarks": {
+        "landmarks": "in the map",
+        "landmarks_seen": "true ones seen",
+        "misses": "of these, not in the map",
+        "duplicates": "in the map once more",
+    },
+    "association": {
+        "association_precision": "precision",
+        "association_recall": "recall",
+    },
+    "NEES (3 is right)": {
+        "pose_nees": "poses",
+        "landmark_nees": "landmarks",
+        "refined_landmark_nees": "landmarks, refined",
+    },
+    "step [ms]": {
+        "step_ms_mean": "mean",
+        "step_ms_p99": "99 % are below",
+        "step_ms_max": "longest",
+    },
+}
+"""Figures in the table by section, and what they are called there."""
+
+
+def table(result: dict) -> Table:
+    """All known figures of `result` (from `evaluate`), a column for the team and each robot."""
+    shown = empty()
+    for name in (TEAM, *result["robots"]):
+        shown.add_column(Text(name), justify="right", overflow="fold", min_width=6)
+    whose = (result, *result["robots"].values())
+    known = {key for figures in whose for key, value in figures.items() if value is not None}
+    for rows in titles(known):
+        shown.add_section()
+        for key, title in rows.items():
+            cells = (number(figures[key]) if key in figures else "" for figures in whose)
+            shown.add_row(Text(title), *cells)
+    return shown
+
+
+def empty() -> Table:
+    """A table with the column of titles alone."""
+    title = "Figures of merit; errors are RMS"
+    shown = Table(title=title, title_justify="left", box=SIMPLE, padding=(0, 1, 0, 0))
+    shown.add_column("", no_wrap=True)
+    return shown
+
+
+def titles(known: Collection[str]) -> Iterator[dict[str, str]]:
+    """Of each section those figures that are `known`, each with its title."""
+    for section, names in SECTIONS.items():
+        rows = {key: title for key, title in names.items() if key in known}
+        for key in list(rows)[:1]:
+            rows[key] = f"{section}: {rows[key]}"
+        yield rows
+
+
+def number(value: object) -> str:
+    """A figure in up to six characters."""
+    if not isinstance(value, float):
+        return "-" if value is None else str(value)
+    for limit, form in ((10, ".3f"), (100, ".1f"), (1e5, ".0f")):
+        if abs(value) < limit:
+            return format(value, form)
+    return f"{value:.0e}"

@@ -1,0 +1,1 @@
+"""Least squares over whole paths: given who saw what, the most likely poses and landmarks."""

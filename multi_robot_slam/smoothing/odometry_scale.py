@@ -1,0 +1,86 @@
+"""How far each robot goes for a metre, and turns for a radian, that its odometry tells.
+
+Factors s = (s_v, s_w) of each robot, at first N(1, sigma^2), are estimated along the paths: with
+them the odometry's residual is r = x (-) x_previous - s u. At the optimum of the paths for given
+factors, with whitened residuals and N(m, L^-1) what was known of the factors before,
+
+    g = dr/ds^T r + L (s - m),   S = dr/ds^T dr/ds - B^T H^-1 B,   B = dr/dx^T dr/ds
+
+are the gradient of the cost with the paths at their best, and what the paths add to its curvature:
+s - (L + S)^-1 g is one Newton step to the most likely factors. What the paths say, the parabola of
+S and of g without the L (s - m), goes over into L and m by the share of the poses that settle.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from multi_robot_slam.smoothing import kernels
+from multi_robot_slam.smoothing.problem import Problem
+from multi_robot_slam.smoothing.solve import Smoothed, odometry_residuals
+
+
+class Scales(NamedTuple):
+    """The factors of K robots, and what settled poses say of them."""
+
+    factors: np.ndarray
+    """(K, 2) float64: of distances, of turns."""
+    mean: np.ndarray
+    """(2 K,) float64: m."""
+    information: np.ndarray
+    """(2 K, 2 K) float64: L."""
+
+    @classmethod
+    def unknown(cls, robots: int, sigma: float) -> "Scales":
+        """Nothing was seen yet; `sigma` 0: the factors are 1."""
+        information = np.eye(2 * robots) / sigma**2 if sigma > 0 else np.zeros((0, 0))
+        return cls(np.ones((robots, 2)), np.ones(2 * robots), information)
+
+
+def learn(
+    scales: Scales, problem: Problem, smoothed: Smoothed, motions: np.ndarray, settled: float
+) -> Scales:
+    """One Newton step from `scales`, for which `smoothed` is the optimum.
+
+    Parameters
+    ----------
+    motions : (P, 3) as odometry tells them; those of `problem` are the factors times these.
+    settled : share of the poses that settle now.
+
+    """
+    if not len(scales.information):
+        return scales
+    gradient, curvature = _profile(problem, smoothed, motions)
+    old = scales.factors.ravel()
+    pull = gradient + scales.information @ (old - scales.mean)
+    new = old - np.linalg.solve(scales.information + curvature, pull)
+    information = scales.information + settled * curvature
+    known = scales.information @ scales.mean + settled * (curvature @ old - gradient)
+    return Scales(new.reshape(-1, 2), np.linalg.solve(information, known), information)
+
+
+def _profile(
+    problem: Problem, smoothed: Smoothed, motions: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """dr/ds^T r (2 K,) and S (2 K, 2 K) at the optimum of the paths."""
+    count, poses, unknown = len(motions), smoothed.poses, 2 * len(problem.start_poses)
+    jacobians = np.empty((count, 3, 6))
+    before = problem.poses_before(poses)
+    kernels.odometry_jacobians(before, problem.sigmas, poses, jacobians)
+    by_scale = np.zeros((count, 3, unknown))
+    rows, told = np.arange(count), -motions / problem.sigmas
+    by_scale[rows, 0, 2 * problem.robots] = told[:, 0]
+    by_scale[rows, 1, 2 * problem.robots] = told[:, 1]
+    by_scale[rows, 2, 2 * problem.robots + 1] = told[:, 2]
+    gradient = np.einsum("prs,pr->s", by_scale, odometry_residuals(problem, poses))
+    mixed = np.einsum("pri,prs->pis", jacobians, by_scale)
+    by_pose = mixed[:, 3:].copy()
+    follows = np.flatnonzero(problem.previous >= 0)
+    np.add.at(by_pose, problem.previous[follows], mixed[follows, :3])
+    solved = smoothed.factor.solve_lower(by_pose.reshape(3 * count, unknown))
+    return gradient, np.einsum("prs,prt->st", by_scale, by_scale) - solved.T @ solved
+
+
+def scaled(motion: np.ndarray, factors: np.ndarray) -> np.ndarray:
+    """Motions (..., 3) with their robots' factors (..., 2) applied."""
+    return motion * factors[..., [0, 0, 1]]

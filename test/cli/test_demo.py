@@ -1,0 +1,168 @@
+"""The demo as a user starts it: real processes, real DDS."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from msg_defs import scenario_file, topics, wire
+from multi_robot_slam.bags.bag import BagReader
+from multi_robot_slam.cli import demo
+from multi_robot_slam.config import SECTION, Config
+from sim_world.scenario import SECTION as WORLD_SECTION
+from sim_world.scenario import Scenario
+
+nodes = pytest.importorskip("nodes")
+
+SMALL = "{robots: 3, movements: 90, observations: 5, camera: {mount: {up_m: 0.7}}}"
+FEW = "multi_robot_slam: {filter: {particles: 20}}"
+
+
+@pytest.fixture
+def start(spawn, tmp_path):
+    """Start a demo of a scenario's section `sim_world`, with its results in `tmp_path/out`."""
+
+    def command(world, *options, **environment):
+        scenario = tmp_path / "given.yaml"
+        scenario.write_text(f"sim_world: {world}\n{FEW}\n")
+        words = ("--scenario", scenario, "--out", tmp_path / "out", *options)
+        return spawn(
+            *(sys.executable, "-m", "multi_robot_slam.cli", "demo", *words),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=os.environ | environment,
+        )
+
+    return command
+
+
+def recorded(bag):
+    """Topic -> data of its messages, from a bag that is whole."""
+    reader = BagReader(bag)
+    assert reader.warnings == []
+    messages = {}
+    for record in reader:
+        messages.setdefault(record.topic, []).append(record.data)
+    return messages
+
+
+def alive(folder):
+    """Processes that were told of `folder` on their command line."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            command = path.read_bytes()
+        except OSError:
+            continue
+        if os.fsencode(folder) in command:
+            found.append(command.replace(b"\0", b" "))
+    return found
+
+
+def test_no_message_is_missing_in_the_bag_or_in_the_steps(start, tmp_path):
+    process = start(SMALL, "--seed", "7", "--speed", "0")
+    printed, said = process.communicate(timeout=60)
+    assert process.returncode == 0, said
+    out = tmp_path / "out"
+    messages = recorded(out / "bag")
+    expected = [1_000_000_000 + 500_000_000 * i for i in range(31)]
+    steps = [wire.decode_step(data) for data in messages["/fusion/steps"]]
+    assert [step.stamp_ns for step in steps] == expected
+    for robot in ("robot_1", "robot_2", "robot_3"):
+        odometry = [wire.decode_pose(d, robot).stamp_ns for d in messages[f"/{robot}/odom"]]
+        clouds = messages[f"/{robot}/stereo/landmarks"]
+        seen = [wire.decode_observations(data, robot) for data in clouds]
+        assert odometry == [frame.stamp_ns for frame in seen] == expected
+        assert len(messages[f"/{robot}/ground_truth"]) == len(expected)
+        assert len(messages[f"/{robot}/stereo/truth"]) == len(expected)
+        filtered = [f for step in steps for f in step.frames if f.robot == robot]
+        assert [len(f.landmarks) for f in filtered] == [len(f.positions) for f in seen]
+
+    assert "team" in printed
+    assert printed.splitlines()[-1] == str(out / "report.html")
+    assert "step 31, 3 robots, " in said
+    result = json.loads((out / "result.json").read_text())
+    assert (result["steps"], result["seed"], result["dropped"]) == (31, 7, {})
+    wanted = {"scenario.yaml", "config.yaml", "map.csv", "map.png", "errors.png", "report.html"}
+    assert wanted <= {path.name for path in out.iterdir()}
+    config = scenario_file.from_file(Config, out / "config.yaml", SECTION)
+    assert config.mount.up_m == 0.7
+    assert config.filter.particles == 20
+
+
+LONG = "{robots: 2, movements: 2000, observations: 5}"
+
+
+@pytest.mark.parametrize(
+    ("number", "send", "when"),
+    [
+        (signal.SIGINT, os.kill, "effective particles"),
+        (signal.SIGINT, os.killpg, "effective particles"),
+        (signal.SIGTERM, os.kill, "publishing"),
+        (signal.SIGTERM, os.kill, "waiting for subscribers"),
+    ],
+)
+def test_a_signal_ends_every_process_within_three_seconds(start, tmp_path, number, send, when):
+    process = start(LONG)
+    nodes.wait_for_line(process, when)
+    assert len(alive(tmp_path)) == 4
+    send(process.pid, number)
+    sent_s = time.monotonic()
+    _, said = process.communicate(timeout=10)
+    assert time.monotonic() - sent_s < 3
+    assert alive(tmp_path) == []
+    assert process.returncode == 1
+    bag = tmp_path / "out" / "bag"
+    assert said.endswith(f"error: ended by {number.name}; what was recorded so far is in {bag}\n")
+    messages = recorded(bag)
+    if when == "effective particles":
+        odometry = messages[f"/{topics.odometry('robot_1').name}"]
+        assert len(odometry) >= len(messages["/fusion/steps"]) > 0
+
+
+def test_a_process_that_fails_ends_the_demo(start, tmp_path):
+    process = start(SMALL, RMW_IMPLEMENTATION="rmw_of_no_kind")
+    _, said = process.communicate(timeout=30)
+    assert process.returncode == 1
+    assert "exit code" in said.splitlines()[-1]
+    assert said.splitlines()[-1].startswith("error: ")
+    assert alive(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("scenario", "told"),
+    [
+        ("sim_world: {robots: 0}", "robots = 0"),
+        ("sim_world: {d_max_m: -1}", "d_max_m = -1"),
+        ("multi_robot_slam: {particels: 9}", "unknown key 'particels'"),
+        ("multi_robot_slam: 5", "section 'multi_robot_slam' is 5"),
+        ("sim_world: {descriptor_database: nowhere.npz}", "nowhere.npz"),
+        ("sim_world: {robots: 3, movements: 2}", "movements = 2"),
+    ],
+)
+def test_bad_scenario_is_one_line_and_leaves_nothing(tmp_path, scenario, told, command):
+    given = tmp_path / "given.yaml"
+    given.write_text(scenario)
+    code, out, err = command("demo", "--scenario", given, "--out", tmp_path / "out")
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert err.startswith("error: ")
+    assert told in err
+    assert not (tmp_path / "out").exists()
+
+
+def test_configuration_is_whole_and_tells_both_sides_of_one_team(tmp_path):
+    given = tmp_path / "given.yaml"
+    given.write_text(f"sim_world: {SMALL}")
+    text = demo.configure(str(given), robots=2, seed=5)
+    world = scenario_file.from_yaml(Scenario, text, WORLD_SECTION)
+    config = scenario_file.from_yaml(Config, text, SECTION)
+    assert config.robots == world.names == ("robot_1", "robot_2")
+    assert config.mount == world.camera.mount
+    assert config.seed == 5
+    assert "reorder_window_s" in text

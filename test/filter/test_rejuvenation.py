@@ -1,0 +1,293 @@
+"""Rejuvenation: against the exact smoother, filtering along the drawn paths, and its laws."""
+
+from dataclasses import replace
+
+import linear_world as linear
+import literal_algorithm1 as literal
+import numpy as np
+import pytest
+import worlds
+
+from msg_defs.types import ObservationSet, RobotFrame
+from multi_robot_slam.filter import rbpf, rejuvenation
+from multi_robot_slam.filter.settings import FilterSettings, RejuvenationSettings
+from multi_robot_slam.models import stereo
+from multi_robot_slam.models.motion import MotionSettings
+
+ALWAYS = RejuvenationSettings(ancestors_below=1.0)
+
+
+def run(steps, settings, seed=0, dtype=np.float64):
+    state = rbpf.init(worlds.START, settings, dtype)
+    rng = np.random.default_rng(seed)
+    return state, [rbpf.step(state, frames, settings, worlds.MOUNT, rng) for frames in steps]
+
+
+def rejuvenated(state, settings, seed=1):
+    """Rejuvenate now, whether due or not."""
+    rng = np.random.default_rng(seed)
+    return rejuvenation.rejuvenate(state, replace(settings, threads=1), worlds.MOUNT, rng)
+
+
+def exact_smoother(moves, seen):
+    """Least squares over all positions (T, 2) and landmarks (N, 3): mean and covariance."""
+    steps, count = len(moves), linear.LANDMARKS
+    size = 2 * steps + 3 * count
+    rows, values, sigmas = [], [], []
+    for t in range(1, steps):
+        for axis in range(2):
+            row = np.zeros(size)
+            row[2 * t + axis], row[2 * (t - 1) + axis] = 1, -1
+            rows.append(row)
+            values.append(moves[t, axis])
+            sigmas.append(linear.SIGMA_MOVE)
+    for t in range(steps):
+        for n in range(count):
+            for axis in range(3):
+                row = np.zeros(size)
+                row[2 * steps + 3 * n + axis] = 1
+                if axis < 2:
+                    row[2 * t + axis] = -1
+                rows.append(row)
+                values.append(seen[t, n, axis])
+                sigmas.append(linear.SIGMA_SEE)
+    free = np.arange(2, size)  # the first position is known
+    A = np.array(rows)[:, free] / np.array(sigmas)[:, None]
+    covariance = np.linalg.inv(A.T @ A)
+    return covariance @ A.T @ (np.array(values) / sigmas), covariance
+
+
+@pytest.mark.parametrize("proposal", ["motion", "informed"])
+def test_in_a_linear_world_the_particles_are_the_exact_smoother_s(proposal):
+    """Whole paths and landmarks, from a filter that had lost all but a few of its ancestors."""
+    count = 20_000
+    noise = MotionSettings(linear.SIGMA_MOVE, linear.SIGMA_MOVE, 0.0, 0.0)
+    settings = FilterSettings(
+        particles=count,
+        gate=1e6,
+        robust_above=1e6,
+        proposal=proposal,
+        resample_below=1.0,
+        motion=noise,
+    )
+    moves, seen = linear.world(3)
+    state = rbpf.init(np.zeros((1, 3)), settings, np.float64)
+    rng = np.random.default_rng(0)
+    descriptors = np.eye(linear.LANDMARKS, 128, dtype=np.float32)
+    R = stereo.pack(np.tile(linear.SIGMA_SEE**2 * np.eye(3), (linear.LANDMARKS, 1, 1)))
+    for t in range(linear.STEPS):
+        camera = np.stack([-seen[t, :, 1], seen[t, :, 2], seen[t, :, 0]], axis=1)
+        z = ObservationSet("", t, camera, R, descriptors)
+        rbpf.step(
+            state, [RobotFrame(0, t, np.array([*moves[t], 0.0]), z)], settings, linear.MOUNT, rng
+        )
+    info = rejuvenation.rejuvenate(state, settings, linear.MOUNT, rng)
+    assert info.alone == 0
+    assert info.effective_particles > 0.95 * count
+
+    weights = rbpf.resampling.normalise(state.log_weights)
+    paths = np.concatenate([record.poses[:2] for record in state.history.records[1:]])
+    landmarks = state.landmarks
+    landmarks.bring_up_to_date(landmarks.alive())
+    planes = landmarks.planes[landmarks.columns_of(np.arange(linear.LANDMARKS))]
+    places = np.concatenate([paths, planes[:, :3].reshape(-1, count)])
+    mean = places @ weights
+    covariance = (places - mean[:, None]) * weights @ (places - mean[:, None]).T
+    offset = len(paths)
+    for n in range(linear.LANDMARKS):
+        block = slice(offset + 3 * n, offset + 3 * n + 3)
+        covariance[block, block] += stereo.unpack(planes[n, 3:] @ weights)
+    expected, spread = exact_smoother(moves, seen)
+    # A heading of sigma 1e-5 stays free.
+    np.testing.assert_allclose(mean, expected, atol=5 * np.sqrt(np.diag(spread).max() / count))
+    np.testing.assert_allclose(covariance, spread, atol=0.05 * np.diag(spread).max())
+
+
+def test_landmark_filters_are_those_of_filtering_along_the_drawn_path():
+    settings = worlds.settings(particles=5, proposal="informed", gate=1e3, robust_above=1e6)
+    state, _ = run(worlds.drive(4, steps=12), settings)
+    rejuvenated(state, settings)
+    place = (worlds.MOUNT.forward_m, worlds.MOUNT.left_m, worlds.MOUNT.up_m)
+    model = literal.Model(settings.gate, settings.descriptor_gate, place, (0, 0, 0, 0))
+    for m in range(5):
+        known = {}
+        for record, row in list(state.history.lineage(m))[::-1]:
+            pose, R = record.poses[:, row], stereo.unpack(record.covariances)
+            for b, n in enumerate(record.matches[:, row]):
+                G, v = literal.G(pose), record.positions[b].astype(float)
+                if n not in known:
+                    sigma = np.linalg.inv(G.T @ np.linalg.inv(R[b]) @ G)
+                    known[n] = literal.g_inverse(pose, v, model), sigma
+                    continue
+                mu, sigma = known[n]
+                K = sigma @ G.T @ np.linalg.inv(G @ sigma @ G.T + R[b])
+                known[n] = (
+                    mu + K @ (v - literal.g(pose, mu, model)),
+                    (np.eye(3) - K @ G) @ sigma,
+                )
+        columns, values = state.landmarks.of_particle(m)
+        assert state.landmarks.ids[columns].tolist() == sorted(known)
+        for n, plane in zip(sorted(known), values, strict=True):
+            np.testing.assert_allclose(plane[:3], known[n][0], atol=1e-9)
+            np.testing.assert_allclose(stereo.unpack(plane[3:]), known[n][1], atol=1e-9)
+
+
+def test_same_seed_same_bytes():
+    settings = worlds.settings(
+        particles=30, proposal="informed", resample_below=0.5, rejuvenation=ALWAYS
+    )
+    steps = worlds.drive(7, steps=15, alike=0.2)
+    one, infos = run(steps, settings, seed=3)
+    other, _ = run(steps, replace(settings, threads=2), seed=3)
+    assert sum(info.rejuvenated is not None for info in infos) > 5
+    assert one.poses.tobytes() == other.poses.tobytes()
+    assert one.log_weights.tobytes() == other.log_weights.tobytes()
+    for m in (0, 29):
+        assert (
+            one.landmarks.of_particle(m)[1].tobytes() == other.landmarks.of_particle(m)[1].tobytes()
+        )
+
+
+def test_without_loops_published_poses_move_less_than_their_standard_deviation():
+    """Robots that never see anything again after a few frames: smoothing has little to add."""
+    settings = worlds.settings(particles=2000, proposal="informed", resample_below=0.5)
+    differences = []
+    for seed in range(3):
+        steps = straight_ahead(seed, steps=25)
+        plain = run(steps, settings, seed=seed)[1]
+        fresh = run(
+            steps, replace(settings, rejuvenation=replace(ALWAYS, ancestors_below=0.5)), seed=seed
+        )[1]
+        assert any(info.rejuvenated for info in fresh)
+        for a, b in zip(plain, fresh, strict=True):
+            for (mean, _), (other, covariance) in zip(a.moments, b.moments, strict=True):
+                sigma = np.sqrt(np.diag(covariance)) + 1e-9
+                differences.append((mean - other) / sigma)
+    assert np.sqrt(np.mean(np.square(differences))) < 1
+
+
+def straight_ahead(seed, steps):
+    """One robot that drives past new landmarks, each seen in three frames."""
+    rng = np.random.default_rng(seed)
+    descriptors = rng.random((steps + 3, 4, 128))
+    descriptors /= np.linalg.norm(descriptors, axis=2, keepdims=True)
+    landmarks = rng.uniform([1, -2, 0], [2, 2, 2], (steps + 3, 4, 3))
+    landmarks[:, :, 0] += 0.2 * np.arange(steps + 3)[:, None]
+    frames = []
+    for t in range(steps):
+        u = np.array([0.2, 0, 0]) * (t > 0)
+        seen = slice(t, t + 3)
+        z = worlds.observe(
+            np.array([0.2 * t, 0, 0]),
+            landmarks[seen].reshape(-1, 3),
+            descriptors[seen].reshape(-1, 128),
+            rng,
+            t,
+        )
+        frames.append([RobotFrame(0, t * 10**9, u + rng.normal(0, 0.01, 3) * (t > 0), z)])
+    return frames
+
+
+def test_particles_with_another_history_keep_it():
+    """Two thirds share one history; the others are too few and stay exactly as they were."""
+    settings = worlds.settings(particles=30, proposal="informed", gate=1e3, resample_below=0.01)
+    state, _ = run(worlds.drive(2, steps=6), settings)
+    state.log_weights[:] = 0
+    state.history.signatures[20:] = np.arange(10)
+    before = state.poses.copy()
+    settings = replace(settings, rejuvenation=replace(ALWAYS, share=0.5))
+    info = rejuvenated(state, settings)
+    assert (info.groups, info.alone) == (1, 10)
+    assert (state.poses[:, :, 20:] == before[:, :, 20:]).all()
+    assert (state.poses[:, :, :20] != before[:, :, :20]).any(axis=(0, 1)).all()
+
+
+def test_landmarks_a_particle_had_split_are_joined():
+    settings = worlds.settings(particles=10, proposal="informed", gate=1e3, exclusive=True)
+    steps = worlds.drive(5, steps=10)
+    state, _ = run(steps, settings)
+    whole = len(state.landmarks.of_particle(0)[0])
+    split = next(
+        record
+        for record in reversed(state.history.records)
+        if (record.matches[:, 0] != record.new_ids).all()
+    )
+    spare = int(split.new_ids[0])
+    columns = state.landmarks.reserve(1)
+    state.landmarks.ids[columns] = spare
+    old = state.landmarks.columns_of(split.matches[:1, 0])
+    state.landmarks.bring_up_to_date(old)
+    state.landmarks.planes[columns] = state.landmarks.planes[old]
+    state.landmarks.settle(columns, np.array([10]), state.landmarks.descriptors[old])
+    split.matches = split.matches.copy()
+    split.matches[0] = spare
+    assert len(state.landmarks.of_particle(0)[0]) == whole + 1
+    rejuvenated(state, settings)
+    assert len(state.landmarks.of_particle(0)[0]) == whole
+
+
+def test_every_particle_has_a_past_of_its_own_and_the_filter_goes_on():
+    steps = worlds.drive(6, steps=40)
+    settings = worlds.settings(particles=50, proposal="informed", resample_below=0.5)
+    plain, _ = run(steps, settings)
+    assert plain.history.distinct_ancestors()[4] < 10
+    settings = replace(settings, rejuvenation=replace(ALWAYS, ancestors_below=0.5))
+    state, infos = run(steps, settings)
+    assert state.history.distinct_ancestors()[4] >= 25
+    for info in infos:
+        if info.rejuvenated:
+            assert 1 <= info.rejuvenated.effective_particles <= 50
+
+
+def test_is_due_when_few_descend_from_the_last_time_and_it_has_rested():
+    settings = worlds.settings(particles=10)
+    state = rbpf.init(worlds.START, settings)
+    often = RejuvenationSettings(ancestors_below=0.5, rest=3)
+    state.origins = np.repeat(np.arange(4, dtype=np.int32), [3, 3, 3, 1])
+    state.steps = 2
+    assert not rejuvenation.is_due(state, often)
+    state.steps = 3
+    assert rejuvenation.is_due(state, often)
+    assert not rejuvenation.is_due(state, RejuvenationSettings())
+    state.origins = np.repeat(np.arange(5, dtype=np.int32), 2)
+    assert not rejuvenation.is_due(state, often)
+
+
+def test_settled_poses_stay_and_the_rest_is_as_good_as_with_all_of_them():
+    steps = worlds.drive(8, steps=40)
+    settings = worlds.settings(particles=100, proposal="informed", resample_below=0.5)
+    settings = replace(settings, rejuvenation=replace(ALWAYS, ancestors_below=0.5))
+    narrow = replace(settings, rejuvenation=replace(settings.rejuvenation, window=20))
+    _, whole = run(steps, settings)
+    state, few = run(steps, narrow)
+    records = state.history.records
+    drawn_at = 3 * state.origin_step
+    assert drawn_at - 23 < state.settled.count <= drawn_at - 20
+    assert records[state.settled.count].step > records[state.settled.count - 1].step
+    for a, b in zip(whole, few, strict=True):
+        for (mean, covariance), (other, _) in zip(a.moments, b.moments, strict=True):
+            # The random numbers differ too.
+            assert (np.abs(mean - other) < 4 * np.sqrt(np.diag(covariance)) + 0.02).all()
+    counted = sum((record.matches[:, row] >= 0).sum() for record, row in state.history.lineage(0))
+    assert counted == 40 * 3 * 5
+
+
+@pytest.mark.parametrize("pairs", [[], [[1, 5]], [[1, 5], [0, 7]]])
+def test_heirs_replace_ids_through_several_joins(pairs):
+    heirs = rejuvenation.Heirs().and_then(np.array(pairs, int).reshape(-1, 2))
+    heirs = heirs.and_then(np.array([[0, 1]]))
+    expected = np.array([0, 0, 2, 0 if [1, 5] in pairs else 5, 0 if [0, 7] in pairs else 7])
+    assert heirs.of(np.array([0, 1, 2, 5, 7])).tolist() == expected.tolist()
+
+
+@pytest.mark.parametrize("spread", [0.1, 2.0, 30.0])
+def test_tempered_weights_leave_half_of_the_particles_effective_and_touch_nothing_better(spread):
+    exact = np.random.default_rng(0).normal(0, spread, 200)
+    weights = rejuvenation.tempered(exact)
+    effective = rbpf.resampling.effective_sample_size(rbpf.resampling.normalise(weights))
+    assert effective > 99.9
+    if spread == 0.1:
+        assert (weights == exact).all()
+    else:
+        assert effective < 100.1
+        np.testing.assert_allclose(weights / exact, (weights / exact)[0])

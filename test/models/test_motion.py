@@ -1,0 +1,88 @@
+"""Odometry increments and the motion model (7)."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from multi_robot_slam.models.motion import (
+    MotionSettings,
+    increment,
+    move,
+    spread,
+    standard_deviations,
+    wrap,
+)
+
+coordinates = st.floats(-50, 50)
+poses = st.tuples(coordinates, coordinates, st.floats(-10, 10)).map(np.array)
+
+
+@given(poses, poses)
+def test_move_undoes_increment(a, b):
+    moved = a[:, None].copy()
+    move(moved, increment(a, b)[:, None])
+    np.testing.assert_allclose(moved[:2, 0], b[:2], atol=1e-9)
+    np.testing.assert_allclose(np.exp(1j * moved[2, 0]), np.exp(1j * b[2]), atol=1e-9)
+
+
+@given(poses, poses, poses)
+def test_increment_does_not_see_the_frame(a, b, frame):
+    """The same two poses in another frame have the same increment."""
+    cos, sin = np.cos(frame[2]), np.sin(frame[2])
+
+    def seen(p):
+        return np.array(
+            [
+                frame[0] + cos * p[0] - sin * p[1],
+                frame[1] + sin * p[0] + cos * p[1],
+                p[2] + frame[2],
+            ]
+        )
+
+    difference = increment(seen(a), seen(b)) - increment(a, b)
+    difference[2] = wrap(difference[2])
+    np.testing.assert_allclose(difference, 0, atol=1e-9)
+
+
+@given(st.floats(-100, 100))
+def test_wrap_is_the_same_angle(angle):
+    wrapped = wrap(angle)
+    assert -np.pi <= wrapped < np.pi
+    assert np.isclose(np.exp(1j * wrapped), np.exp(1j * angle), atol=1e-9)
+
+
+def test_variances_add_up_however_the_motion_is_cut():
+    noise = MotionSettings()
+    motion = np.array([0.0, -2.0, -0.5])
+    once = standard_deviations(motion, 0.0, noise) ** 2
+    np.testing.assert_allclose(8 * standard_deviations(motion / 8, 0.0, noise) ** 2, once)
+    assert (standard_deviations(np.zeros(3), 0.0, noise) == 0).all()
+
+
+def test_noise_after_one_metre_and_one_radian_is_what_the_settings_say():
+    noise = MotionSettings(0.1, 0.2, 0.3, 0.4)
+    straight = standard_deviations(np.array([0.6, -0.8, 0.0]), 0.0, noise)
+    np.testing.assert_allclose(straight, [0.1, 0.2, 0.3])
+    np.testing.assert_allclose(standard_deviations(np.array([0, 0, -1.0]), 0.0, noise), [0, 0, 0.4])
+
+
+def test_spread_is_the_covariance_of_noisy_moves():
+    noise = MotionSettings(0.1, 0.02, 0.05, 0.03)
+    motion = np.array([0.7, 0.2, 0.9])
+    poses = np.zeros((3, 200_000))
+    sigma = standard_deviations(motion, 0.0, noise)[:, None]
+    drawn = motion[:, None] + sigma * np.random.default_rng(0).standard_normal(poses.shape)
+    move(poses, drawn)
+    cos, sin = np.cos(motion[2]), np.sin(motion[2])
+    body = np.array([[cos, sin], [-sin, cos]]) @ poses[:2]
+    xx, xy, yy, yaw = spread(motion, 0.0, noise)
+    np.testing.assert_allclose(np.cov(body), [[xx, xy], [xy, yy]], atol=1e-4)
+    assert np.isclose(poses[2].var(), yaw, rtol=0.02)
+
+
+def test_noise_of_time_alone_grows_with_its_root():
+    noise = MotionSettings(0, 0, 0, 0, 0.1, 0.2, 0.3)
+    still = standard_deviations(np.zeros(3), 4.0, noise)
+    np.testing.assert_allclose(still, [0.2, 0.4, 0.6])
+    moving = standard_deviations(np.array([1.0, 0, 0]), 4.0, MotionSettings(0.3, 0, 0, 0, 0.2))
+    np.testing.assert_allclose(moving, [0.5, 0, 0])

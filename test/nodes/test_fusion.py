@@ -1,0 +1,225 @@
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import recordings
+from hypothesis import given
+from hypothesis import strategies as st
+
+from msg_defs import scenario_file, topics, wire
+from msg_defs.errors import InputError
+from msg_defs.types import Sightings, StepRecord
+from multi_robot_slam.config import SECTION, Config
+from multi_robot_slam.models.motion import move, wrap
+from multi_robot_slam.pipeline.pipeline import Pipeline
+from sim_world.scenario import Scenario
+from sim_world.simulator import Simulation
+
+nodes = pytest.importorskip("nodes")
+fusion = pytest.importorskip("multi_robot_slam.nodes.fusion")
+
+pytestmark = pytest.mark.usefixtures("ros_domain_id")
+
+SIMULATION = Simulation(Scenario(robots=2, movements=20, observations=5), seed=3)
+CONFIG = recordings.configuration(SIMULATION, particles=10)
+STEPS = list(SIMULATION.steps())
+OUTPUTS = [
+    topics.STEPS,
+    topics.MAP_LANDMARKS,
+    topics.DIAGNOSTICS,
+    topics.FUSION_CONFIG,
+    *(
+        topic(name)
+        for name in CONFIG.robots
+        for topic in (topics.pose, topics.mean_pose, topics.path)
+    ),
+]
+
+
+@pytest.fixture
+def parameters(tmp_path):
+    """ROS arguments that give `CONFIG`, and little patience."""
+    scenario = tmp_path / "scenario.yaml"
+    scenario.write_text(scenario_file.to_yaml(**{SECTION: CONFIG}))
+    given = f"scenario:={scenario}", "picture_period_s:=0.05", "idle_s:=0.2", "stop_after_s:=0.3"
+    return [word for parameter in given for word in ("-p", parameter)]
+
+
+def messages(step):
+    """What the fusion hears of one simulated step: (topic, bytes)."""
+    truths = (topics.ground_truth, topics.observation_truth)
+    unheard = {truth(name) for truth in truths for name in CONFIG.robots}
+    return [sent for sent in recordings.messages_of(step) if sent[0] not in unheard]
+
+
+def run(arguments, sent):
+    """What a fusion says, by topic, when it is `sent` (topic, bytes)."""
+    with nodes.ros(*arguments):
+        node, listener = fusion.Fusion(), nodes.Listener(*OUTPUTS)
+        listener.send(sent)
+        nodes.spin_until(lambda: node.done, node, listener)
+        node.close()
+        nodes.spin_until(lambda: listener.heard[topics.MAP_LANDMARKS], listener)
+        return listener.heard
+
+
+def dropped(heard):
+    """Reason -> count, of the last diagnostics."""
+    _, (status, *_) = wire.decode_diagnostics(heard[topics.DIAGNOSTICS][-1])
+    prefix = "dropped: "
+    return {k.removeprefix(prefix): v for k, v in status.values.items() if k.startswith(prefix)}
+
+
+def timeless(record: StepRecord):
+    return wire.encode_step(replace(record, duration_ms=0.0))
+
+
+def filtered():
+    """The steps and the pipeline that result from decoding and handling every message."""
+    pipeline, records = Pipeline(CONFIG), []
+    for step in STEPS:
+        for topic, data in messages(step):
+            robot, _, kind = topic.name.partition("/")
+            decode = wire.decode_pose if kind == "odom" else wire.decode_observations
+            records += pipeline.handle(decode(data, robot))
+    return records, pipeline
+
+
+def everything():
+    return [message for step in STEPS for message in messages(step)]
+
+
+def test_live_estimates_equal_those_of_the_pipeline(parameters):
+    heard = run(parameters, everything())
+    records, pipeline = filtered()
+    assert [timeless(wire.decode_step(data)) for data in heard[topics.STEPS]] == [
+        timeless(record) for record in records
+    ]
+    for index, robot in enumerate(CONFIG.robots):
+        assert heard[topics.pose(robot)] == [
+            wire.encode_estimate(record.estimates[index]) for record in records
+        ]
+        assert heard[topics.mean_pose(robot)] == [
+            wire.encode_mean(record.estimates[index]) for record in records
+        ]
+        path = wire.decode_path(heard[topics.path(robot)][-1], robot)
+        np.testing.assert_allclose(path.poses, pipeline.trajectories()[robot].poses, atol=1e-12)
+    stamp_ns = STEPS[-1][0].odometry.stamp_ns
+    assert heard[topics.MAP_LANDMARKS][-1] == wire.encode_map(pipeline.landmark_map(), stamp_ns)
+    assert dropped(heard) == {}
+    (config,) = heard[topics.FUSION_CONFIG]
+    assert scenario_file.from_yaml(Config, wire.decode_text(config), SECTION) == CONFIG
+
+
+def test_damaged_messages_are_counted_and_the_fusion_goes_on(parameters):
+    seen = STEPS[0][0].observations
+    cloud = wire.encode_observations(seen)
+    stranger = wire.encode_observations(replace(seen, robot="robot_9"))
+    infinite = wire.encode_observations(replace(seen, positions=seen.positions * np.inf))
+    of_first = topics.observations("robot_1")
+    damaged = [
+        (of_first, cloud.replace(b"descriptor", b"descripted")),
+        (of_first, infinite),
+        (of_first, stranger),
+        (of_first, cloud[:-40]),
+        (of_first, b""),
+        (topics.odometry("robot_2"), cloud),
+    ]
+    first, *others = STEPS
+    sent = [*messages(first), *damaged, *(m for step in others for m in messages(step))]
+    heard = run(parameters, sent)
+    assert dropped(heard) == {"bad observations of robot_1": "5", "bad odometry of robot_2": "1"}
+    assert [wire.decode_step(data).step for data in heard[topics.STEPS]] == list(
+        range(1, len(STEPS) + 1)
+    )
+
+
+def test_what_the_pipeline_drops_is_counted(parameters):
+    heard = run(parameters, [*everything(), *messages(STEPS[-1])])
+    assert dropped(heard) == {"duplicate frame": "2", "odometry out of order": "2"}
+
+
+def test_frames_held_back_are_filtered_after_a_silence(parameters):
+    only_first = [m for m in everything() if m[0].name.startswith("robot_1/")]
+    heard = run([*parameters, "-p", "reorder_window_s:=1000.0"], only_first)
+    assert len(heard[topics.pose("robot_1")]) == len(STEPS)
+    assert heard[topics.pose("robot_2")] == []
+
+
+def test_a_silent_robot_is_reported(parameters):
+    only_first = [m for m in everything() if m[0].name.startswith("robot_1/")]
+    heard = run(parameters, only_first)
+    _, statuses = wire.decode_diagnostics(heard[topics.DIAGNOSTICS][-1])
+    levels = {status.name: status.level for status in statuses}
+    assert levels["fusion: robot_1"] == wire.OK
+    assert levels["fusion: robot_2"] == wire.WARN
+
+
+def test_what_comes_in_waits_for_the_subscribers_that_are_expected(parameters):
+    with nodes.ros(*parameters, "-p", "subscribers:=1"):
+        node, sender = fusion.Fusion(), nodes.Listener(name="sender")
+        sender.send(everything())
+        wait_over = time.monotonic() + 0.5
+        nodes.spin_until(lambda: time.monotonic() > wait_over, node, sender)
+        assert not node.done
+        late = nodes.Listener(*OUTPUTS)
+        nodes.spin_until(lambda: len(late.heard[topics.STEPS]) == len(STEPS), node, late)
+        for robot in CONFIG.robots:
+            assert len(late.heard[topics.pose(robot)]) == len(STEPS)
+
+
+def test_sightings_reach_the_pipeline_where_robots_send_them(parameters):
+    nothing = np.zeros((0, 3), np.float32), np.zeros((0, 6), np.float32)
+    seen = [
+        (
+            topics.sightings(name),
+            Sightings(name, step[0].odometry.stamp_ns, np.zeros(0, "u4"), *nothing),
+        )
+        for step in STEPS
+        for name in CONFIG.robots
+    ]
+    sent = [(topic, wire.encode_sightings(sightings)) for topic, sightings in seen]
+    heard = run([*parameters, "-p", "sightings:=true"], [*sent, *everything()])
+    assert dropped(heard) == {}
+    assert len(heard[topics.STEPS]) == len(STEPS)
+
+
+def test_works_under_a_namespace(parameters):
+    with nodes.ros(*parameters, "-r", "__ns:=/team"):
+        names = {name for name, _ in fusion.Fusion().get_topic_names_and_types()}
+    assert {"/team/robot_1/odom", "/team/robot_2/pose", "/team/map/landmarks"} <= names
+
+
+@pytest.mark.parametrize(
+    ("argument", "reason"),
+    [
+        ("start_poses:=[0.0, 0.0, 0.0]", "1 poses for 2 robots"),
+        ("robots:=[a, a]", "name each robot of the team once"),
+        ("filter.particles:=0", "filter.particles = 0"),
+    ],
+)
+def test_bad_parameter_is_refused_with_the_reason(parameters, argument, reason):
+    with nodes.ros(*parameters, "-p", argument), pytest.raises(InputError, match=reason):
+        fusion.Fusion()
+
+
+poses = st.tuples(*[st.floats(-100, 100)] * 2, st.floats(-3, 3)).map(np.array)
+
+
+@given(estimate=poses, odometry=poses)
+def test_odometry_seen_from_the_map_is_the_estimate(estimate, odometry):
+    pose = fusion.odom_in_map(estimate, odometry)[:, None]
+    move(pose, odometry[:, None])
+    difference = pose[:, 0] - estimate
+    np.testing.assert_allclose([*difference[:2], wrap(difference[2])], 0, atol=1e-9)
+
+
+def test_interrupt_ends_the_process_within_three_seconds(spawn):
+    process = spawn(sys.executable, "-m", fusion.__name__, stderr=subprocess.PIPE, text=True)
+    nodes.wait_for_line(process, "ready for robot_1")
+    process.send_signal(signal.SIGINT)
+    assert process.wait(3) == 0

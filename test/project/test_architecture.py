@@ -1,0 +1,44 @@
+"""The rules of the import contracts that a list of forbidden modules cannot state."""
+
+import subprocess
+import sys
+
+import grimp
+
+PACKAGES = ("msg_defs", "sim_world", "multi_robot_slam")
+EDGE = ("msg_defs.ros", "multi_robot_slam.nodes", "sim_world.robots")
+"""The only packages and modules that import ROS."""
+CORE = ("multi_robot_slam.filter", "multi_robot_slam.smoothing", "multi_robot_slam.models")
+WITHOUT_ROS = """
+import importlib, sys
+
+class NoRos:
+    def find_spec(self, name, path=None, target=None):
+        package = name.split(".")[0]
+        if package.startswith(("rclpy", "rcl_")) or package.endswith(("_msgs", "_interfaces")):
+            raise ModuleNotFoundError(f"{name}: no ROS here")
+
+sys.meta_path.insert(0, NoRos())
+for name in sys.argv[1:]:
+    importlib.import_module(name)
+"""
+
+
+def test_core_needs_arrays_and_compiled_loops_alone():
+    graph = grimp.build_graph(*PACKAGES, include_external_packages=True, cache_dir=None)
+    core = set(CORE).union(*map(graph.find_descendants, CORE))
+    linear_algebra = {"scipy", "threadpoolctl"}
+    # annotated_types and msg_defs.types declare settings and records; both are data.
+    allowed = core | {"numpy", "numba", "annotated_types", "msg_defs.types", *linear_algebra}
+    imported = set().union(*(graph.find_modules_directly_imported_by(name) for name in core))
+    assert imported - allowed - sys.stdlib_module_names == set()
+
+
+def test_everything_but_the_edge_imports_without_ros():
+    graph = grimp.build_graph(*PACKAGES, cache_dir=None)
+    edge = set(EDGE).union(*map(graph.find_descendants, EDGE))
+    modules = sorted(graph.modules - edge)
+    result = subprocess.run(
+        [sys.executable, "-c", WITHOUT_ROS, *modules], capture_output=True, text=True, timeout=100
+    )
+    assert result.returncode == 0, result.stderr

@@ -1,0 +1,101 @@
+"""What the README shows works as shown."""
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import recordings
+
+from msg_defs import scenario_file
+from multi_robot_slam.config import SECTION, Config
+
+ROOT = Path(__file__).parents[2]
+README = (ROOT / "README.md").read_text()
+QUICK = {("multi_robot_slam", verb) for verb in ("run", "evaluate", "compare", "report", "export")}
+QUICK |= {("sim_world", "team"), ("sim_world", "descriptors")}
+SLOW = {("multi_robot_slam", verb) for verb in ("demo", "experiment", "bench", "accuracy")}
+RECORDED = {("multi_robot_slam", verb) for verb in ("convert", "real")}
+"""Their argument is a recording that the README does not bring."""
+
+
+def blocks(language):
+    return re.findall(rf"^```{language}\n(.*?)^```", README, re.MULTILINE | re.DOTALL)
+
+
+def commands():
+    """Every command line shown, as words."""
+    lines = "".join(blocks("sh")).splitlines()
+    return [words for line in lines if (words := shlex.split(line, comments=True))]
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A working folder with all that the commands read."""
+    recordings.record(tmp_path / "runs" / "latest" / "bag", is_live=True)
+    (tmp_path / "photos").mkdir()
+    pixels = np.random.default_rng(0).integers(0, 256, (40, 40), np.uint8)
+    photo = cv2.resize(pixels, (240, 240), interpolation=cv2.INTER_CUBIC)
+    cv2.imwrite(str(tmp_path / "photos" / "texture.png"), photo)
+    (tmp_path / "my_team.yaml").write_text(blocks("yaml")[0])
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def run(words):
+    """Run a command as a shell would, `> file` included."""
+    program, *arguments = words
+    output = None
+    if ">" in arguments:
+        *arguments, _, output = arguments
+    module = f"{program}.cli"
+    result = subprocess.run(
+        [sys.executable, "-m", module, *arguments], capture_output=True, text=True, timeout=60
+    )
+    assert result.returncode == 0, result.stderr
+    if output:
+        Path(output).write_text(result.stdout)
+
+
+def test_every_command_works_as_shown(folder, ros_domain_id):
+    nodes = pytest.importorskip("nodes")
+    from multi_robot_slam.nodes import fusion, recorder, replay
+    from sim_world import robots
+
+    makers = {"fusion": fusion.Fusion, "record": recorder.Recorder, "robots": robots.SimWorld}
+    makers["replay"] = replay.Replay
+    for program, *arguments in commands():
+        verb = arguments[0]
+        if program == "make":
+            subprocess.run(["make", "-n", verb], cwd=ROOT, check=True, capture_output=True)
+        elif (program, verb) in QUICK:
+            run([program, *arguments])
+        elif (program, verb) in SLOW | RECORDED:
+            options = [word for word in arguments if word.startswith("--")]
+            named = arguments[: 2 if verb == "convert" else 1]
+            told = subprocess.check_output(
+                [sys.executable, "-m", f"{program}.cli", *named, "--help"], text=True
+            )
+            assert all(option in told for option in options)
+        else:
+            given = arguments[arguments.index("--ros-args") + 1 :]
+            with nodes.ros(*given):
+                makers[verb]().close()
+
+
+def test_the_scenario_shown_is_one():
+    (text,) = blocks("yaml")
+    config = scenario_file.from_yaml(Config, text, SECTION)
+    assert config.robots == ("alice", "bob")
+
+
+def test_everything_linked_and_named_is_there():
+    linked = re.findall(r"\]\(([^)#:]+)\)", README)
+    named = re.findall(r"`((?:config|docs|examples)/[\w./]+)`", README)
+    assert [name for name in linked + named if not (ROOT / name).exists()] == []
+    picture = ROOT / "docs" / "report.png"
+    assert picture.stat().st_size < 300_000

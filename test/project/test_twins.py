@@ -1,0 +1,48 @@
+"""What truth and estimate both must know is written twice; here the two are held together."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from msg_defs.types import CameraMount
+from multi_robot_slam.models import motion
+from multi_robot_slam.models import stereo as estimated
+from sim_world import planar, robot
+from sim_world import stereo as simulated
+from sim_world.scenario import OdometryNoise, Scenario
+
+coordinates = st.floats(-30, 30)
+poses = st.tuples(coordinates, coordinates, st.floats(-3.1, 3.1)).map(np.array)
+points = st.tuples(coordinates, coordinates, st.floats(-2, 4)).map(np.array)
+mounts = st.builds(CameraMount, *[st.floats(-1, 1)] * 3)
+shares = st.floats(0, 0.5)
+
+
+@given(poses, points, mounts)
+def test_the_filter_puts_a_point_where_the_simulator_saw_it(pose, point, mount):
+    seen = simulated.camera_from_map(point[None], pose, mount)
+    body, _ = estimated.to_body(seen, np.zeros((1, 6)), mount)
+    np.testing.assert_allclose(estimated.to_map(pose, body)[0], point, atol=1e-9)
+
+
+@given(poses, poses)
+def test_movements_between_two_poses_are_the_same(first, second):
+    made, read = planar.between(first, second), motion.increment(first, second)
+    np.testing.assert_allclose(read, made, atol=1e-12)
+    reached = first[:, None].copy()
+    motion.move(reached, read[:, None])
+    composed = planar.compose(first, made)
+    np.testing.assert_allclose(reached[:2, 0], composed[:2], atol=1e-9)
+    np.testing.assert_allclose(np.exp(1j * reached[2, 0]), np.exp(1j * composed[2]), atol=1e-9)
+
+
+@given(poses, st.tuples(*[shares] * 4))
+def test_the_motion_model_is_the_odometry_s_noise(movement, sigmas):
+    made = robot.movement_variances(movement, OdometryNoise(*sigmas))
+    assumed = motion.standard_deviations(movement, 0.0, motion.MotionSettings(*sigmas)) ** 2
+    np.testing.assert_allclose(assumed, made, rtol=1e-12, atol=1e-30)
+
+
+def test_by_default_the_filter_assumes_the_noise_and_the_mount_that_are_simulated():
+    assert motion.MotionSettings() == motion.MotionSettings(**vars(OdometryNoise()))
+    assert Scenario().camera.mount == CameraMount()

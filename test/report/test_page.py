@@ -1,0 +1,447 @@
+"""What the report shows: its figures as data, and the page in a real browser."""
+
+import base64
+import json
+import re
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import recordings
+from hypothesis import given
+from hypothesis import strategies as st
+
+from msg_defs.types import Estimate
+from multi_robot_slam.report import charts, page, scene, timeline
+from multi_robot_slam.runs import evaluation
+from multi_robot_slam.runs.colours import ROBOT_COLOURS
+from test.helpers import fake_landmarks, fake_run, moved
+
+DTYPES = {"f4": np.float32, "i4": np.int32}
+
+
+def unpacked(value):
+    return np.frombuffer(base64.b64decode(value["bdata"]), DTYPES[value["dtype"]])
+
+
+def bare(robots=2, **changes):
+    """A run of real robots: no truth, no walls."""
+    run = fake_run(robots=robots)
+    own = {name: replace(robot, truth=None) for name, robot in run.robots.items()}
+    nothing = {"true_landmarks": None, "walls": None, "observation_truth": {}}
+    return replace(run, robots=own, **nothing, **changes)
+
+
+def page_of(run):
+    return page.page(run, evaluation.evaluate(run), "a run")
+
+
+def traces(run, layer):
+    figure = scene.figure(run, timeline.timeline(run))
+    return [trace for trace in figure.data if trace.meta["layer"] == layer]
+
+
+# ---- time
+
+
+@given(count=st.integers(0, 500), most=st.integers(1, 50))
+def test_thinned_rows_are_few_and_evenly_spread_and_hold_both_ends(count, most):
+    rows = timeline.thinned(count, most)
+    assert len(rows) <= min(count, most + 1)
+    if count:
+        assert (rows[0], rows[-1]) == (0, count - 1)
+        gaps = np.diff(rows)
+        assert (gaps[:-1] == gaps[:1]).all()
+        assert gaps.size == 0 or 0 < gaps[-1] <= gaps[0]
+
+
+@given(values=st.lists(st.integers(0, 99)), most=st.integers(1, 20))
+def test_grouping_loses_nothing(values, most):
+    sums = timeline.grouped(np.add, values, most)
+    assert len(sums) <= most
+    assert sums.sum() == sum(values)
+    if values:
+        assert timeline.grouped(np.maximum, values, most).max() == max(values)
+
+
+def test_a_long_run_has_few_instants_each_the_last_of_its_steps(monkeypatch):
+    monkeypatch.setattr(timeline, "MOST_SAMPLES", 6)
+    run = fake_run(steps=20)
+    times = timeline.timeline(run)
+    assert times.every == 4
+    assert times.steps.tolist() == [3, 7, 11, 15, 19]
+    assert times.seconds(times.stamps_ns) == pytest.approx([0.3, 0.7, 1.1, 1.5, 1.9])
+    assert "stands for 4 steps" in page_of(run)
+    assert "stands for" not in page_of(fake_run(steps=5))
+
+
+def test_hours_of_a_team_stay_below_15_megabytes():
+    run = fake_run(robots=3, steps=2000, landmarks=8000)
+    hours = replace(run, steps=[step for _ in range(20) for step in run.steps])
+    assert len(page_of(hours)) < 15e6
+
+
+# ---- the scene
+
+
+def test_roots_are_square_roots_also_of_singular_covariances():
+    factors = np.random.default_rng(0).normal(size=(20, 3, 3))
+    factors[:5, :, 2] = 0.0
+    covariances = factors @ factors.transpose(0, 2, 1)
+    roots = scene.roots(covariances)
+    np.testing.assert_allclose(roots @ roots, 4 * covariances, atol=1e-12)
+    np.testing.assert_allclose(roots, roots.transpose(0, 2, 1), atol=1e-12)
+
+
+def test_every_robot_has_its_paths_in_its_colour():
+    run = fake_run(robots=3)
+    robots = {name: replace(robot, refined=robot.path) for name, robot in run.robots.items()}
+    run = replace(run, robots=robots)
+    for layer in ("truth", "odometry", "estimate", "refined"):
+        drawn = traces(run, layer)
+        assert [trace.meta["robot"] for trace in drawn] == list(run.robots)
+        assert [trace.line.color for trace in drawn] == list(ROBOT_COLOURS[:3])
+        for trace, robot in zip(drawn, run.robots.values(), strict=True):
+            np.testing.assert_allclose([trace.x, trace.y], robot.path.poses[:, :2].T, atol=1e-9)
+
+
+def test_walls_stand_on_the_ground_and_close():
+    run = fake_run()
+    faces, outline = traces(run, "walls")
+    corners = np.column_stack([faces.x, faces.y, faces.z]).reshape(-1, 4, 3)
+    np.testing.assert_array_equal(corners[:, [0, 1], :2].reshape(-1, 4), run.walls.segments)
+    assert set(corners[:, :, 2].ravel()) == {0.0, run.walls.height_m}
+    triangles = np.column_stack([faces.x, faces.y, faces.z])[
+        np.column_stack([faces.i, faces.j, faces.k])
+    ]
+    sides = np.diff(triangles, axis=1)
+    area = np.linalg.norm(np.cross(sides[:, 0], sides[:, 1]), axis=1).sum() / 2
+    lengths = np.hypot(*(run.walls.segments[:, 2:] - run.walls.segments[:, :2]).T)
+    assert area == pytest.approx(run.walls.height_m * lengths.sum())
+    assert len(outline.x) == 6 * len(run.walls.segments)
+
+
+def test_frames_hold_what_was_published_and_seen():
+    run = fake_run(robots=2, steps=12, landmarks=8)
+    frames = scene.frames(run, timeline.timeline(run))
+    ids = unpacked(frames["landmarks"]["ids"])
+    assert sorted(ids.tolist()) == run.landmarks.ids.tolist()
+    first = unpacked(frames["landmarks"]["first"])
+    assert (np.diff(first) >= 0).all()
+    for step, record in enumerate(run.steps):
+        for frame, estimate in zip(record.frames, record.estimates, strict=True):
+            shown = frames["robots"][frame.robot]
+            start, end = unpacked(shown["seen_starts"])[step : step + 2]
+            seen = unpacked(shown["seen"])[start:end]
+            assert ids[seen].tolist() == frame.landmarks.tolist()
+            assert (first[seen] <= step).all()
+            pose = unpacked(shown["poses"]).reshape(-1, 3)[step]
+            np.testing.assert_allclose(pose, estimate.pose, atol=1e-6)
+            root = unpacked(shown["roots"]).reshape(-1, 3)[step]
+            np.testing.assert_allclose(root, [0.02, 0, 0.02], atol=1e-7)
+    assert len(np.unique(first)) > 1
+
+
+@pytest.mark.parametrize(("sigma_m", "scale"), [(5.0, 1), (0.02, 5), (1e-4, 30)])
+def test_ellipsoids_are_drawn_large_enough_to_see_and_no_larger(sigma_m, scale):
+    run = replace(fake_run(), landmarks=fake_landmarks(8, first_id=100, sigma_m=sigma_m))
+    assert np.ptp(scene.extent(run), axis=0)[0] == pytest.approx(10.6)
+    assert scene.first_scale(run) == scale
+    assert f'value="{scale}" selected' in page_of(run)
+
+
+def test_sightings_are_shown_unless_rejected():
+    run = fake_run(robots=3, steps=4)
+    met = {"others": np.array([1, 2]), "is_other_rejected": np.array([False, True])}
+    step = run.steps[2]
+    steps = [*run.steps[:2], replace(step, frames=(replace(step.frames[0], **met),))]
+    run = replace(run, steps=steps)
+    frames = scene.frames(run, timeline.timeline(run))
+    shown = frames["robots"]["robot_1"]
+    assert unpacked(shown["met_starts"]).tolist()[:4] == [0, 0, 0, 1]
+    assert unpacked(shown["met"]).tolist()[:1] == [1]
+
+
+def test_a_robot_is_shown_from_its_first_pose_and_stays_at_its_last():
+    run = fake_run(robots=2, steps=9)
+    silent = {*range(3), 8}
+    steps = [
+        replace(s, frames=s.frames[:1], estimates=s.estimates[:1]) if n in silent else s
+        for n, s in enumerate(run.steps)
+    ]
+    frames = scene.frames(replace(run, steps=steps), timeline.timeline(run))
+    poses = unpacked(frames["robots"]["robot_2"]["poses"]).reshape(-1, 3)
+    assert np.isnan(poses[:3]).all()
+    np.testing.assert_array_equal(poses[8], poses[7])
+
+
+# ---- the charts
+
+
+def test_bounds_are_two_sigma_and_errors_are_of_the_mean():
+    run = fake_run(robots=1)
+
+    def off(estimate: Estimate) -> Estimate:
+        mean = estimate.pose + np.array([0.03, -0.01, 0.0])
+        return replace(estimate, mean=mean, covariance=np.diag([1e-4, 1e-4, 1e-4]))
+
+    steps = [replace(s, estimates=tuple(map(off, s.estimates))) for s in run.steps]
+    run = replace(run, steps=steps)
+    figure = charts.charts(run, timeline.timeline(run))["robot robot_1"]
+    drawn = [trace for trace in figure.data if trace.name == "published"]
+    for trace, error in zip(drawn, (0.03, -0.01, 0.0), strict=True):
+        np.testing.assert_allclose(trace.y, error, atol=1e-9)
+    for trace in figure.data:
+        if trace.name == "2 σ":
+            np.testing.assert_allclose(np.abs(trace.y), 0.02)
+    assert charts.inside(run, "robot_1").tolist() == [0.0, 1.0, 1.0]
+
+
+def test_associations_add_up_to_the_observations():
+    run = fake_run(robots=2, steps=15)
+    for name in run.robots:
+        figure = charts.charts(run, timeline.timeline(run))[f"robot {name}"]
+        stacked = [np.array(trace.y) for trace in figure.data if trace.stackgroup]
+        observed = [len(f.landmarks) for s in run.steps for f in s.frames if f.robot == name]
+        np.testing.assert_allclose(np.sum(stacked, axis=0), observed)
+        new = [np.sum(f.is_new) for s in run.steps for f in s.frames if f.robot == name]
+        np.testing.assert_allclose(stacked[1], new)
+
+
+def test_resampled_steps_are_marked():
+    run = fake_run(steps=10)
+    steps = [replace(step, resampled=n in (2, 7)) for n, step in enumerate(run.steps)]
+    figure = charts.charts(replace(run, steps=steps), timeline.timeline(run))["effective"]
+    assert figure.data[1].x == pytest.approx([0.2, 0.7])
+
+
+def test_distance_from_the_truth_is_the_error_in_the_plane():
+    run = fake_run(robots=1)
+    robot = run.robots["robot_1"]
+    run = replace(run, robots={"robot_1": replace(robot, online=moved(robot.truth, (0.3, 0.4, 0)))})
+    figure = charts.charts(run, timeline.timeline(run))["distances"]
+    np.testing.assert_allclose(figure.data[0].y, 0.5)
+
+
+# ---- the page
+
+
+def test_page_shows_figures_configuration_and_what_was_dropped():
+    run = replace(fake_run(), warnings=("the bag breaks off",))
+    shown = page_of(run)
+    assert "particles: 500" in shown
+    assert re.search(r'scope="row">late</th><td>2<', shown)
+    assert "the bag breaks off" in shown
+    assert "RMS errors against the truth" in shown
+    assert "no truth to be compared" in page_of(bare())
+
+
+def test_page_is_the_same_for_the_same_run():
+    assert page_of(fake_run()) == page_of(fake_run())
+
+
+def test_names_and_warnings_are_text_not_markup():
+    shown = page_of(replace(bare(), dropped={"<script>alert(1)</script>": 1}))
+    assert "<script>alert" not in shown
+    run = fake_run(robots=1)
+    named = replace(run.config, robots=("</script><b>",))
+    robots = {"</script><b>": run.robots["robot_1"]}
+    assert "</script><b>" not in page_of(replace(run, config=named, robots=robots, steps=[]))
+
+
+def test_unwritable_folder_is_named(tmp_path):
+    from msg_defs.errors import InputError
+
+    (tmp_path / "file").write_text("")
+    run = bare()
+    with pytest.raises(InputError, match=r"cannot write .*report\.html"):
+        page.write(run, evaluation.evaluate(run), tmp_path / "file")
+
+
+# ---- the command
+
+
+@pytest.mark.parametrize("is_live", [True, False])
+def test_report_of_a_live_and_of_an_offline_run(command, tmp_path, is_live):
+    recordings.record(tmp_path / "live" / "bag", is_live=is_live)
+    folder = tmp_path / "live"
+    if not is_live:
+        folder = tmp_path / "again"
+        assert command("run", tmp_path / "live" / "bag", "--refine", "--out", folder)[0] == 0
+    code, printed, _ = command("report", folder)
+    assert (code, printed) == (0, f"{folder / page.FILE}\n")
+    shown = (folder / page.FILE).read_text()
+    assert ("refined paths" in shown) != is_live
+
+
+def test_report_of_no_run_is_one_line_and_exit_code_2(command, tmp_path):
+    code, printed, told = command("report", tmp_path / "nowhere")
+    assert (code, printed, told.count("\n")) == (2, "", 1)
+    assert "nowhere" in told
+
+
+# ---- in a browser
+
+FLAGS = (
+    *("--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-quic"),
+    *("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
+    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
+)
+HARMLESS = ("willReadFrequently", "GL Driver Message")
+TEAM = fake_run(robots=3, steps=20, landmarks=8)
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    """Chromium, which records what it asks the network for."""
+    webdriver = pytest.importorskip("selenium.webdriver")
+    chromium = shutil.which("chromium") or shutil.which("google-chrome")
+    driver = shutil.which("chromedriver")
+    if chromium is None or driver is None:
+        pytest.skip("no Chromium: install the packages chromium and chromium-driver")
+    options = webdriver.ChromeOptions()
+    options.binary_location = chromium
+    for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
+        options.add_argument(flag)
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    service = webdriver.ChromeService(executable_path=driver)
+    with webdriver.Chrome(options=options, service=service) as browser:
+        browser.set_window_size(1280, 800)
+        browser.set_page_load_timeout(60)
+        yield browser
+
+
+def show(browser, run, folder):
+    """Write a run's report and open it; the browser, once everything is drawn."""
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    path = page.write(run, evaluation.evaluate(run), folder)
+    browser.get_log("browser"), browser.get_log("performance")
+    browser.get(path.as_uri())
+    is_ready = "return document.documentElement.dataset.ready !== undefined"
+    WebDriverWait(browser, 60).until(lambda b: b.execute_script(is_ready))
+    after_drawing(browser)
+    return browser
+
+
+@pytest.fixture(scope="module")
+def opened(browser, tmp_path_factory):
+    """The report of `TEAM`."""
+    return show(browser, TEAM, tmp_path_factory.mktemp("team"))
+
+
+def complaints(browser):
+    said = [entry["message"] for entry in browser.get_log("browser")]
+    return [text for text in said if not any(harmless in text for harmless in HARMLESS)]
+
+
+def requested(browser):
+    """Addresses the page asked for."""
+    events = (json.loads(e["message"])["message"] for e in browser.get_log("performance"))
+    sent = (e["params"] for e in events if e["method"] == "Network.requestWillBeSent")
+    return {event["request"]["url"] for event in sent}
+
+
+def centres(browser):
+    """Robot -> middle of its arrow-head in the scene, as drawn."""
+    return browser.execute_script("""
+        const drawn = document.querySelector("[data-figure=scene]").data;
+        const middle = values => values.reduce((a, b) => a + b, 0) / values.length;
+        return Object.fromEntries(drawn.filter(trace => trace.meta.layer === "body")
+            .map(trace => [trace.meta.robot, [middle(trace.x), middle(trace.y)]]));
+    """)
+
+
+def after_drawing(browser):
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    WebDriverWait(browser, 30).until(lambda b: b.execute_script("return !isDrawing"))
+
+
+def test_slider_moves_every_robot_by_keyboard(opened):
+    from selenium.webdriver.common.by import By
+    from selenium.webdriver.common.keys import Keys
+
+    slider = opened.find_element(By.ID, "time-slider")
+    for key, step in ((Keys.END, 19), (Keys.HOME, 0), (Keys.ARROW_RIGHT, 1)):
+        slider.send_keys(key)
+        after_drawing(opened)
+        drawn = centres(opened)
+        assert list(drawn) == list(TEAM.robots)
+        for place, estimate in zip(drawn.values(), TEAM.steps[step].estimates, strict=True):
+            assert np.hypot(*(place - estimate.pose[:2])) < 0.1
+    assert opened.find_element(By.ID, "time-shown").text == "0.1 s, step 1"
+
+
+def test_ellipsoids_are_two_sigma_and_grow_with_the_chosen_scale(opened):
+    read = """
+        show(19); readControls();
+        const {x, y, z} = ellipsoids(), {positions} = frames.landmarks, each = x.length / 8;
+        return Array.from(x, (_, n) => {
+            const [a, b, c] = positions.subarray(3 * Math.floor(n / each));
+            return Math.hypot(x[n] - a, y[n] - b, z[n] - c);
+        });
+    """
+    for scale in (1, 10):
+        opened.execute_script(f"controls.elements.scale.value = '{scale}'")
+        np.testing.assert_allclose(opened.execute_script(read), 0.2 * scale, rtol=1e-4)
+
+
+def test_paths_can_be_cut_to_the_last_seconds(opened):
+    drawn = """
+        controls.elements.trail.add(new Option("half a second", "0.55"));
+        controls.elements.trail.value = arguments[0];
+        readControls(); state.step = arguments[1]; drawScene();
+        return figures.scene.data.filter(trace => trace.meta.layer === "estimate")
+            .map(trace => [Array.from(trace.x), Array.from(trace.y)]);
+    """
+    for trail, step, rows in (
+        ("0.55", 12, slice(7, 13)),
+        ("0.55", 2, slice(3)),
+        ("Infinity", 2, slice(None)),
+    ):
+        for points, robot in zip(
+            opened.execute_script(drawn, trail, step), TEAM.robots.values(), strict=True
+        ):
+            np.testing.assert_allclose(points, robot.path.poses[rows, :2].T, atol=1e-9)
+
+
+def test_a_robot_and_a_layer_can_be_hidden(opened):
+    opened.execute_script("""
+        document.querySelector("input[value=robot_2]").click();
+        document.querySelector("input[value=walls]").click();
+    """)
+    after_drawing(opened)
+    shown = opened.execute_script("""
+        return document.querySelector("[data-figure=scene]").data
+            .filter(trace => trace.visible).map(trace => [trace.meta.layer, trace.meta.robot]);
+    """)
+    assert ["estimate", "robot_1"] in shown
+    assert not any(robot == "robot_2" or layer == "walls" for layer, robot in shown)
+
+
+@pytest.mark.parametrize("width_px", [400, 1280])
+def test_page_is_no_wider_than_the_window(opened, width_px):
+    from selenium.webdriver.support.ui import WebDriverWait
+
+    size = {"width": width_px, "height": 800, "deviceScaleFactor": 1, "mobile": False}
+    opened.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    fits = f"document.documentElement.scrollWidth <= innerWidth && innerWidth === {width_px}"
+    WebDriverWait(opened, 10).until(lambda b: b.execute_script(f"return {fits}"))
+    opened.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+@pytest.mark.parametrize(
+    "run",
+    [TEAM, bare(robots=1, landmarks=fake_landmarks(0)), bare(steps=[]), fake_run(8, steps=1)],
+    ids=["a team", "one real robot without landmarks", "no steps", "many robots, one step"],
+)
+def test_every_robot_appears_without_an_error_or_a_request(browser, tmp_path, run):
+    shown = show(browser, run, tmp_path)
+    assert list(centres(shown)) == list(run.robots)
+    assert shown.execute_script("return document.querySelectorAll('canvas').length") > 0
+    assert complaints(shown) == []
+    asked = requested(shown)
+    assert any(url.endswith(page.FILE) for url in asked)
+    assert all(url.startswith(("file:", "data:", "blob:")) for url in asked)

@@ -1,0 +1,330 @@
+"""Batch smoothing against exact answers, against other solvers, and against the filter itself."""
+
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+import pytest
+import worlds
+from drives import GATE, covariance_of, filtered, posed, remembered, straight, with_hubs
+from hypothesis import given
+from hypothesis import strategies as st
+from threadpoolctl import threadpool_limits
+
+from multi_robot_slam.models import stereo
+from multi_robot_slam.models.motion import wrap
+from multi_robot_slam.smoothing import solve
+from multi_robot_slam.smoothing.envelope import envelope_of, factorise
+from multi_robot_slam.smoothing.problem import Known, problem_of
+from multi_robot_slam.smoothing.solve import smooth
+
+
+@pytest.fixture(scope="module", params=[False, True], ids=["alone", "sighted"])
+def drive(request):
+    return posed(*filtered(steps=18), sighted=request.param)
+
+
+def matrix(envelope, elements):
+    """The symmetric matrix (3 P, 3 P), in the order of elimination, that `elements` are of."""
+    size = envelope.edges[-1]
+    lower = np.zeros((size, size))
+    for t, tile in enumerate(envelope.tiles(elements)):
+        stop = envelope.edges[t + 1]
+        lower[envelope.edges[t] : stop, envelope.begins[t] : stop] = tile
+    return np.tril(lower) + np.tril(lower, -1).T
+
+
+def weights_of_one(problem):
+    return np.ones(len(problem.positions) + len(problem.sighted.seen))
+
+
+def dense(problem):
+    """Mean and covariance of all x, y and landmarks of a straight world by least squares."""
+    poses, landmarks = len(problem.robots), len(problem.ids)
+    rows, values = [], []
+    for p in range(poses):
+        A = np.zeros((2, 2 * poses + 3 * landmarks))
+        A[:, 2 * p : 2 * p + 2] = np.eye(2)
+        if p:
+            A[:, 2 * p - 2 : 2 * p] = -np.eye(2)
+        rows.append(A / problem.sigmas[p, :2, None])
+        values.append(problem.motions[p, :2] / problem.sigmas[p, :2])
+    W = stereo.unpack(problem.information)
+    for o, landmark in enumerate(problem.landmarks):
+        A = np.zeros((3, 2 * poses + 3 * landmarks))
+        A[:2, 2 * problem.seen_from[o] : 2 * problem.seen_from[o] + 2] = -np.eye(2)
+        A[:, 2 * poses + 3 * landmark : 2 * poses + 3 * landmark + 3] = np.eye(3)
+        root = np.linalg.cholesky(W[o]).T
+        rows.append(root @ A)
+        values.append(root @ problem.positions[o])
+    A, b = np.concatenate(rows), np.concatenate(values)
+    covariance = np.linalg.inv(A.T @ A)
+    return covariance @ A.T @ b, covariance
+
+
+@pytest.mark.parametrize("share", [0, 0.5, 1])
+def test_linear_world_is_solved_exactly(monkeypatch, share):
+    with_hubs(monkeypatch, share)
+    problem = straight()
+    mean, covariance = dense(problem)
+    found = smooth(problem, np.zeros((6, 3)))
+    assert found.converged
+    np.testing.assert_allclose(found.poses[:, :2].ravel(), mean[:12], atol=1e-9)
+    np.testing.assert_allclose(found.landmarks[:, :3].ravel(), mean[12:], atol=1e-9)
+    xy = np.arange(18).reshape(6, 3)[:, :2].ravel()
+    of_poses = covariance_of(found)[np.ix_(xy, xy)]
+    np.testing.assert_allclose(of_poses, covariance[:12, :12], atol=1e-9)
+    Y = solve.landmark_deviations(problem, found).reshape(12, -1)
+    chosen = solve.landmark_deviations(problem, found, np.array([2, 0]))
+    np.testing.assert_allclose(chosen, Y.reshape(4, 3, -1)[[2, 0]], rtol=1e-12)
+    marginal = Y @ Y.T
+    for n, given_poses in enumerate(stereo.unpack(found.landmarks[:, 3:])):
+        marginal[3 * n : 3 * n + 3, 3 * n : 3 * n + 3] += given_poses
+    np.testing.assert_allclose(marginal, covariance[12:, 12:], atol=1e-9)
+
+
+def cost(problem, poses):
+    ones = weights_of_one(problem)
+    _, squared = solve.landmarks_and_distances(problem, poses, ones)
+    return solve._cost(problem, poses, squared, np.inf)
+
+
+def test_gradient_is_the_finite_difference(drive):
+    problem, poses = drive
+    poses = poses + np.random.default_rng(0).normal(0, 0.01, poses.shape)
+    ones = weights_of_one(problem)
+    landmarks, _ = solve.landmarks_and_distances(problem, poses, ones)
+    gradient = solve._gradient(problem, poses, landmarks, ones)
+    for index in range(9, poses.size, 7):
+        step = np.zeros(poses.size)
+        step[index] = 1e-6
+        step = step.reshape(-1, 3)
+        numeric = (cost(problem, poses + step) - cost(problem, poses - step)) / 2e-6
+        assert gradient[index] == pytest.approx(numeric, rel=1e-4, abs=1e-2)
+
+
+def gtsam_twin(problem, poses, landmarks):
+    """The same optimum found by gtsam from its own geometry, with numeric Jacobians."""
+    L = gtsam.symbol_shorthand.L
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    for p, pose in enumerate(poses):
+        values.insert(p, gtsam.Pose2(*pose))
+    for n, place in enumerate(landmarks[:, :3]):
+        values.insert(L(n), place)
+
+    def add(noise, keys, residual):
+        """A factor whose residual is a function of its poses, and of a landmark at the end."""
+
+        def error(_, values, jacobians):
+            got = [values.atPoint3(k) if k >= L(0) else values.atPose2(k) for k in keys]
+            if jacobians is not None:
+                for i, variable in enumerate(got):
+                    jacobians[i] = numeric(residual, got, i, variable)
+            return residual(*got)
+
+        graph.add(gtsam.CustomFactor(noise, keys, error))
+
+    for p, u in enumerate(problem.motions):
+        noise = gtsam.noiseModel.Diagonal.Sigmas(problem.sigmas[p])
+        if problem.previous[p] < 0:
+            start = gtsam.Pose2(*problem.start_poses[problem.robots[p]])
+            add(noise, [p], lambda b, u=u, a=start: moved(a, b, u))
+        else:
+            add(noise, [problem.previous[p], p], lambda a, b, u=u: moved(a, b, u))
+    R = np.linalg.inv(stereo.unpack(problem.information))
+    for o, n in enumerate(problem.landmarks):
+        noise = gtsam.noiseModel.Gaussian.Covariance(R[o])
+        add(noise, [problem.seen_from[o], L(n)], lambda x, m, v=problem.positions[o]: seen(x, m, v))
+    R = np.linalg.inv(problem.sighted.information[:, [0, 1, 1, 2]].reshape(-1, 2, 2))
+    for p, q, s, covariance in zip(*problem.sighted[:3], R, strict=True):
+        noise = gtsam.noiseModel.Gaussian.Covariance(covariance)
+        add(noise, [p, q], lambda a, b, s=s: a.transformTo(b.translation()) - s)
+    found = gtsam.LevenbergMarquardtOptimizer(graph, values).optimize()
+    at = [found.atPose2(p) for p in range(len(poses))]
+    places = [found.atPoint3(L(n)) for n in range(len(landmarks))]
+    return np.array([[x.x(), x.y(), x.theta()] for x in at]), np.array(places), graph.error(found)
+
+
+def moved(a, b, u):
+    between = a.between(b)
+    return np.array([between.x() - u[0], between.y() - u[1], wrap(between.theta() - u[2])])
+
+
+def seen(pose, place, v):
+    return np.append(pose.transformTo(place[:2]), place[2]) - v
+
+
+def numeric(residual, arguments, index, variable):
+    def at(step):
+        shifted = variable.retract(step) if isinstance(variable, gtsam.Pose2) else variable + step
+        return residual(*arguments[:index], shifted, *arguments[index + 1 :])
+
+    steps = 1e-6 * np.eye(3)
+    return np.asfortranarray(np.column_stack([(at(s) - at(-s)) / 2e-6 for s in steps]))
+
+
+def test_optimum_is_that_of_gtsam(drive):
+    problem, poses = drive
+    found = smooth(problem, poses)
+    twin, places, error = gtsam_twin(problem, poses, found.landmarks)
+    assert found.cost == pytest.approx(error, abs=1e-5)
+    assert cost(problem, poses) > error + 1
+    difference = found.poses - twin
+    np.testing.assert_allclose(difference[:, :2], 0, atol=1e-4)
+    np.testing.assert_allclose(wrap(difference[:, 2]), 0, atol=1e-4)
+    np.testing.assert_allclose(found.landmarks[:, :3], places, atol=1e-4)
+
+
+@pytest.mark.parametrize("hubs", [[], [3, 8, 30]], ids=["none", "three"])
+def test_factor_inside_the_envelope_is_that_of_the_whole_matrix(drive, hubs):
+    problem, poses = drive
+    ones, envelope = weights_of_one(problem), envelope_of(problem, np.array(hubs, int))
+    landmarks, _ = solve.landmarks_and_distances(problem, poses, ones)
+    elements = solve._system(problem, poses, landmarks, ones, envelope)
+    H = matrix(envelope, elements)
+    factor = factorise(envelope, elements)
+    assert len(factor.tiles) == 3
+    right = np.random.default_rng(0).standard_normal((len(H), 4))
+    of_poses = np.where(np.arange(len(H))[:, None] < poses.size, right, 0)
+    lower = np.linalg.solve(np.linalg.cholesky(H), of_poses[envelope.rows])
+    upper = np.linalg.solve(np.linalg.cholesky(H).T, right)
+    np.testing.assert_allclose(factor.solve_lower(right[: poses.size]), lower, atol=1e-9)
+    np.testing.assert_allclose(factor.solve_upper(right)[envelope.rows], upper, atol=1e-9)
+
+
+def test_envelope_follows_a_long_corridor():
+    """Landmarks seen by neighbours only: a band, whatever the order of the poses."""
+    poses, landmarks = 300, 299
+    rng = np.random.default_rng(0)
+    shuffled = rng.permutation(poses)
+    seen_from = np.sort(np.stack([shuffled[:-1], shuffled[1:]], axis=1), axis=1).ravel()
+    corridor = replace(
+        straight(poses=2, landmarks=landmarks),
+        robots=np.zeros(poses, int),
+        previous=np.full(poses, -1),
+        seen_from=seen_from,
+    )
+    # Tiles of 72 rows reach back one tile: 12 (72^2 + 72^2) of 900^2 / 2 elements.
+    assert envelope_of(corridor, np.empty(0, int)).size < 0.35 * (3 * poses) ** 2 / 2
+
+
+@pytest.mark.parametrize("robust_above", [np.inf, GATE])
+@pytest.mark.parametrize("share", [0.3, 1])
+def test_hubs_change_nothing(drive, robust_above, share, monkeypatch):
+    problem, poses = drive
+    expected = smooth(problem, poses, robust_above, smallest_step=1e-6)
+    Y = solve.landmark_deviations(problem, expected).reshape(3 * len(problem.ids), -1)
+    with_hubs(monkeypatch, share)
+    found = smooth(problem, poses, robust_above, smallest_step=1e-6)
+    assert len(found.factor.envelope.hubs) == round(share * len(problem.ids))
+    assert found.iterations == expected.iterations
+    assert found.cost == pytest.approx(expected.cost, rel=1e-8)
+    np.testing.assert_allclose(found.poses, expected.poses, atol=1e-8)
+    np.testing.assert_allclose(found.landmarks, expected.landmarks, atol=1e-8)
+    np.testing.assert_allclose(covariance_of(found), covariance_of(expected), atol=1e-10)
+    some = solve.landmark_deviations(problem, found).reshape(3 * len(problem.ids), -1)
+    np.testing.assert_allclose(some @ some.T, Y @ Y.T, atol=1e-10)
+
+
+@pytest.mark.parametrize("robust_above", [np.inf, GATE])
+def test_the_start_of_the_search_does_not_matter(drive, robust_above):
+    problem, poses = drive
+    found = smooth(problem, poses, robust_above)
+    far = poses + np.random.default_rng(1).normal(0, 0.1, poses.shape)
+    again = smooth(problem, far, robust_above)
+    assert found.converged
+    assert again.converged
+    assert again.cost == pytest.approx(found.cost, rel=1e-6)
+    np.testing.assert_allclose(again.poses, found.poses, atol=1e-4)
+
+
+def test_wrong_associations_are_resisted():
+    problem = straight(seed=5, poses=20, landmarks=8)
+    right = smooth(problem, np.zeros((20, 3)))
+    wrong = problem.positions.copy()
+    planted = [3, 50, 51, 120]
+    wrong[planted] += [2.0, -1.5, 0.5]
+    fooled = replace(problem, positions=wrong)
+    plain, robust = smooth(fooled, right.poses), smooth(fooled, right.poses, GATE)
+    spread = np.sqrt(covariance_of(right)[0, 0])
+    assert robust.weights[planted].max() < np.delete(robust.weights, planted).min()
+    assert np.abs(robust.poses - right.poses).max() < spread
+    assert np.abs(plain.poses - right.poses).max() > spread
+
+
+@given(st.floats(0, 1e4), st.floats(0.1, 100))
+def test_robust_weight_is_the_derivative_of_the_robust_distance(squared, threshold):
+    step = 1e-5 * max(1, squared)
+    above, below = (solve._robust(squared + s, threshold) for s in (step, -step))
+    weight = solve._robust_weights(squared, threshold)
+    assert (above - below) / (2 * step) == pytest.approx(weight, abs=1e-3)
+
+
+def test_standing_still_and_seeing_nothing_is_a_known_pose():
+    state, settings = filtered(steps=1, robots=1)
+    problem, poses = posed(state, settings)
+    blind = replace(
+        problem,
+        seen_from=problem.seen_from[:0],
+        starts=problem.starts[:1],
+        positions=problem.positions[:0],
+        information=problem.information[:0],
+        ids=problem.ids[:0],
+    )
+    for each in (problem, blind):
+        found = smooth(each, poses + 0.1)
+        np.testing.assert_allclose(found.poses, worlds.START[:1], atol=1e-6)
+        assert solve.landmark_deviations(each, found).shape == (len(each.ids), 3, 3)
+
+
+def test_threads_of_the_linear_algebra_change_no_byte():
+    problem, poses = posed(*filtered(steps=60))
+    results = []
+    for threads in (1, 2):
+        with threadpool_limits(threads):
+            found = smooth(problem, poses, GATE)
+            tiles = [tile.tobytes() for tile in found.factor.tiles]
+            results.append((found.poses.tobytes(), tiles))
+    assert results[0] == results[1]
+
+
+@pytest.mark.parametrize("sighted", [False, True])
+@pytest.mark.parametrize("robust_above", [np.inf, GATE])
+def test_optimum_stays_when_older_poses_settle(sighted, robust_above):
+    """Twice: what settles the second time includes what is known from the first."""
+    state, settings = filtered(steps=15)
+    records, identities, poses = remembered(state, sighted=sighted)
+    start, known, first = worlds.START, Known.nothing(), 0
+    whole, whole_ids = None, np.unique(np.concatenate(identities))
+    for count in (0, 12, 18):
+        first += count
+        problem = problem_of(
+            records[first:], identities[first:], start, settings.motion, worlds.MOUNT, known
+        )
+        found = smooth(
+            problem, poses[first:] if whole is None else whole.poses[first:], robust_above
+        )
+        assert found.converged
+        whole = whole or found
+        np.testing.assert_array_equal(problem.ids, whole_ids)
+        np.testing.assert_allclose(found.poses, whole.poses[first:], atol=1e-4)
+        np.testing.assert_allclose(found.landmarks[:, :3], whole.landmarks[:, :3], atol=1e-4)
+        start, known = solve.settle(problem, found, 12 if first == 0 else 18)
+
+
+def test_gross_errors_are_left_out():
+    """An identity below zero: as if the observation had never been made."""
+    state, settings = filtered(steps=6)
+    records, identities, _ = remembered(state)
+    discarded = [np.where(np.arange(len(rows)) == 1, -1, rows) for rows in identities]
+    without = [
+        replace(
+            r, positions=np.delete(r.positions, 1, 0), covariances=np.delete(r.covariances, 1, 0)
+        )
+        for r in records
+    ]
+    kept = [np.delete(rows, 1) for rows in identities]
+    common = (worlds.START, settings.motion, worlds.MOUNT)
+    found, expected = problem_of(records, discarded, *common), problem_of(without, kept, *common)
+    for name in ("seen_from", "starts", "positions", "information", "ids"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
