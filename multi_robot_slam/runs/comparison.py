@@ -10,8 +10,8 @@ from rich.text import Text
 
 from msg_defs import scenario_file
 from msg_defs.errors import InputError
-from multi_robot_slam.runs import run as runs
 from multi_robot_slam.config import SECTION
+from multi_robot_slam.runs import run as runs
 from multi_robot_slam.runs.evaluation_table import empty, number, titles
 
 HIGHER_IS_BETTER = {"association_precision", "association_recall"}

@@ -11,10 +11,10 @@ import numpy as np
 
 from msg_defs.errors import InputError
 from msg_defs.types import LandmarkMap, Trajectory
-from multi_robot_slam.runs import run as runs
-from multi_robot_slam.runs.evaluation import odometry_in_map
 from multi_robot_slam.models.motion import MotionSettings, increment, spread
+from multi_robot_slam.runs import run as runs
 from multi_robot_slam.runs.colours import ROBOT_COLOURS
+from multi_robot_slam.runs.evaluation import odometry_in_map
 from multi_robot_slam.runs.run import Run
 from multi_robot_slam.runs.trajectory_errors import at, sampled
 

@@ -10,8 +10,9 @@ from evo.tools import file_interface
 
 from msg_defs.errors import InputError
 from msg_defs.types import Trajectory
-from multi_robot_slam.runs import exports, run as runs
 from multi_robot_slam.models.motion import increment, spread
+from multi_robot_slam.runs import exports
+from multi_robot_slam.runs import run as runs
 from test.helpers import fake_landmarks, fake_run, moved
 
 
