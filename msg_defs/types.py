@@ -37,11 +37,18 @@ def settings(cls: type[Cls]) -> type[Cls]:
 
 @settings
 class CameraMount:
-    """Where the left camera sits on the robot; it looks straight ahead."""
+    """Where the left camera sits on the robot, and where it looks.
+
+    The camera is turned from straight ahead by roll, then pitch, then yaw, about the axes of
+    `base_link` (REP-103): Rz(yaw) Ry(pitch) Rx(roll).
+    """
 
     forward_m: Annotated[float, "left camera ahead of base_link [m]"] = 0.0
     left_m: Annotated[float, "left camera to the left of base_link [m]"] = 0.06
     up_m: Annotated[float, "left camera above base_link [m]"] = 1.0
+    roll_rad: Annotated[float, "camera rolled clockwise, seen from behind [rad]"] = 0.0
+    pitch_rad: Annotated[float, "camera pitched down [rad]"] = 0.0
+    yaw_rad: Annotated[float, "camera turned to the left [rad]"] = 0.0
 
 
 @settings
@@ -144,22 +151,6 @@ class Walls:
     segments: np.ndarray
     """(W, 4) float64: x0, y0, x1, y1 of each wall in `map` [m]."""
     height_m: float
-
-
-@dataclass(frozen=True, eq=False)
-class RobotFrame:
-    """One robot's share of a filter step: how it moved since its last frame, and what it sees."""
-
-    robot: int
-    """Index in the team."""
-    stamp_ns: int
-    motion: np.ndarray
-    """(3,) float64: u = (dx, dy, dyaw) in the robot's previous `base_link` [m, m, rad]."""
-    observations: ObservationSet
-    seconds: float = 0.0
-    """How long the motion took [s]."""
-    sightings: Sightings | None = None
-    """Robots it sees, each of which has a frame at the same instant."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,6 +30,10 @@ class Config:
         bool, "each robot sends the robots it sees, even if none, with every frame"
     ] = False
     mount: CameraMount = field(default_factory=CameraMount)
+    mounts: Annotated[
+        tuple[tuple[float, float, float, float, float, float], ...],
+        "instead of `mount`, for each robot: forward, left, up, roll, pitch, yaw [m, rad]",
+    ] = ()
     filter: FilterSettings = field(default_factory=FilterSettings)
 
     def __post_init__(self) -> None:
@@ -43,3 +47,12 @@ class Config:
                 f"start_poses: {len(self.start_poses)} poses for {count} robots; "
                 "give x, y, yaw of each"
             )
+        if self.mounts and len(self.mounts) != count:
+            raise InputError(
+                f"mounts: {len(self.mounts)} for {count} robots; give forward, left, up, roll, "
+                "pitch, yaw of each, or none and `mount` for all"
+            )
+
+    def mount_of(self, robot: int) -> CameraMount:
+        """Where the camera sits on the robot with this index in the team."""
+        return CameraMount(*self.mounts[robot]) if self.mounts else self.mount

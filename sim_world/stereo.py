@@ -5,14 +5,25 @@ import numpy as np
 from msg_defs.types import CameraMount, StereoCamera
 
 
+def axes(mount: CameraMount) -> np.ndarray:
+    """(3, 3): rows are the camera's forward, left and up in `base_link`."""
+    cy, sy = np.cos(mount.yaw_rad), np.sin(mount.yaw_rad)
+    cp, sp = np.cos(mount.pitch_rad), np.sin(mount.pitch_rad)
+    cr, sr = np.cos(mount.roll_rad), np.sin(mount.roll_rad)
+    ahead, left, up = np.array([[cy, sy, 0.0], [-sy, cy, 0.0], [0.0, 0.0, 1.0]])
+    ahead, up = cp * ahead - sp * up, sp * ahead + cp * up
+    return np.array([ahead, cr * left + sr * up, cr * up - sr * left])
+
+
 def eyes(pose: np.ndarray, camera: StereoCamera) -> np.ndarray:
     """(2, 3) places of the left and the right camera in `map` [m] of a robot at `pose`."""
     mount = camera.mount
-    left_m = np.array([mount.left_m, mount.left_m - camera.baseline_m])
+    left = np.array([mount.forward_m, mount.left_m, mount.up_m])
+    forward_m, left_m, up_m = np.array([left, left - camera.baseline_m * axes(mount)[1]]).T
     c, s = np.cos(pose[2]), np.sin(pose[2])
-    x = pose[0] + c * mount.forward_m - s * left_m
-    y = pose[1] + s * mount.forward_m + c * left_m
-    return np.column_stack([x, y, np.full(2, mount.up_m)])
+    x = pose[0] + c * forward_m - s * left_m
+    y = pose[1] + s * forward_m + c * left_m
+    return np.column_stack([x, y, up_m])
 
 
 def camera_from_map(points: np.ndarray, pose: np.ndarray, mount: CameraMount) -> np.ndarray:
@@ -20,9 +31,11 @@ def camera_from_map(points: np.ndarray, pose: np.ndarray, mount: CameraMount) ->
     dx, dy = points[:, 0] - pose[0], points[:, 1] - pose[1]
     c, s = np.cos(pose[2]), np.sin(pose[2])
     forward, left = c * dx + s * dy, c * dy - s * dx
-    return np.column_stack(
-        [mount.left_m - left, points[:, 2] - mount.up_m, forward - mount.forward_m]
+    from_camera = np.column_stack(
+        [forward - mount.forward_m, left - mount.left_m, points[:, 2] - mount.up_m]
     )
+    ahead, left, up = axes(mount) @ from_camera.T
+    return np.column_stack([-left, up, ahead])
 
 
 def project(points: np.ndarray, camera: StereoCamera) -> np.ndarray:

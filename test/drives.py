@@ -7,7 +7,7 @@ import worlds
 
 from multi_robot_slam.filter import rbpf
 from multi_robot_slam.models import stereo
-from multi_robot_slam.models.frames import Seen
+from multi_robot_slam.models.frames import BodySightings
 from multi_robot_slam.smoothing import solve
 from multi_robot_slam.smoothing.envelope import envelope_of
 from multi_robot_slam.smoothing.problem import Problem, problem_of
@@ -21,7 +21,7 @@ def filtered(seed=0, steps=12, robots=3, particles=8, **changes):
     state = rbpf.init(worlds.START[:robots], settings, np.float64)
     rng = np.random.default_rng(seed)
     for frames in worlds.drive(seed, steps, robots):
-        rbpf.step(state, frames, settings, worlds.MOUNT, rng)
+        rbpf.step(state, frames, settings, rng)
     return state, settings
 
 
@@ -47,7 +47,7 @@ def with_sightings(records, poses, robots):
             root = rng.normal(0, 0.02, (2, 2)) + 0.02 * np.eye(2)
             R = root @ root.T + 1e-5 * np.eye(2)
             seen = np.array([[cos, sin], [-sin, cos]]) @ apart + rng.multivariate_normal([0, 0], R)
-            sightings = Seen(np.array([other]), seen[None], R[[0, 0, 1], [0, 1, 1]][None])
+            sightings = BodySightings(np.array([other]), seen[None], R[[0, 0, 1], [0, 1, 1]][None])
             record = replace(record, sightings=sightings)
         result.append(record)
     return result
@@ -57,7 +57,7 @@ def posed(state, settings, particle=0, sighted=False):
     """The problem of a particle's history, and the particle's path (P, 3)."""
     records, identities, poses = remembered(state, particle, sighted)
     start = worlds.START[: state.poses.shape[0]]
-    return problem_of(records, identities, start, settings.motion, worlds.MOUNT), poses
+    return problem_of(records, identities, start, settings.motion), poses
 
 
 def covariance_of(found):

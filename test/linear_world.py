@@ -3,6 +3,7 @@
 import numpy as np
 
 from msg_defs.types import CameraMount
+from multi_robot_slam.models.frames import RobotFrame
 
 STEPS, LANDMARKS = 6, 4
 SIGMA_MOVE, SIGMA_SEE = 0.3, 0.2
@@ -19,3 +20,8 @@ def world(seed):
     places = np.cumsum(moves + noise, axis=0)
     seen = landmarks[None] - np.pad(places, ((0, 0), (0, 1)))[:, None]
     return moves, seen + rng.normal(0, SIGMA_SEE, seen.shape)
+
+
+def frame(t, move, observations):
+    """The frame of instant `t`, after `move` (2,)."""
+    return RobotFrame.from_camera(0, np.array([*move, 0.0]), 0.0, observations, MOUNT)

@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from msg_defs.types import CameraMount, ObservationSet, RobotFrame
+from msg_defs.types import CameraMount, ObservationSet
 from multi_robot_slam.filter.settings import FilterSettings
+from multi_robot_slam.models.frames import RobotFrame
 from multi_robot_slam.models.motion import MotionSettings
 
 MOUNT = CameraMount(forward_m=0.1, left_m=0.06, up_m=1.0)
@@ -17,6 +18,19 @@ def settings(particles: int = 12, **changes) -> FilterSettings:
     )
     paper = {"proposal": "motion", "resample_below": 1.0, "exclusive": False, "motion": noise}
     return FilterSettings(particles=particles, **paper | changes)
+
+
+class CameraFrame(RobotFrame):
+    """A frame that also knows what the camera itself saw, for the literal filters."""
+
+    observations: ObservationSet
+
+
+def frame(robot, motion, observations, mount=MOUNT, seconds=0.0):
+    """The frame of what a camera saw, with `observations` kept beside it."""
+    made = CameraFrame.from_camera(robot, motion, seconds, observations, mount)
+    object.__setattr__(made, "observations", observations)
+    return made
 
 
 def drive(seed: int, steps: int, robots: int = 3, seen: int = 5, alike: float = 0.0):
@@ -42,9 +56,8 @@ def drive(seed: int, steps: int, robots: int = 3, seen: int = 5, alike: float = 
             poses[robot] += [c * u[0], s * u[0], u[2]]
             chosen = rng.choice(40, seen, replace=False)
             frames.append(
-                RobotFrame(
+                frame(
                     robot,
-                    step * 10**9,
                     u + rng.normal(0, 0.01, 3) * (step > 0),
                     observe(poses[robot], landmarks[chosen], descriptors[chosen], rng, step),
                 )

@@ -13,8 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from msg_defs.types import RobotFrame
-from multi_robot_slam.models.frames import NOBODY, Record, Seen
+from multi_robot_slam.models.frames import Record, RobotFrame
 
 PRUNE_EVERY = 32
 """Steps between two prunings: rare enough to cost little, often enough to keep memory small."""
@@ -53,7 +52,6 @@ class History:
         poses: np.ndarray,
         matches: np.ndarray,
         new_ids: np.ndarray,
-        sightings: Seen = NOBODY,
     ) -> None:
         """Add a robot's frame: its `poses` (3, M), and the rest as in `Record`."""
         if len(self.records) - self._pruned >= PRUNE_EVERY:
@@ -64,13 +62,13 @@ class History:
             step=step,
             motion=frame.motion,
             seconds=frame.seconds,
-            positions=frame.observations.positions,
-            covariances=frame.observations.covariances,
+            positions=frame.positions,
+            covariances=frame.covariances,
             poses=poses.copy(),
             matches=matches,
             new_ids=new_ids,
             parents=self._leaves,
-            sightings=sightings,
+            sightings=frame.sightings,
         )
         self.records.append(record)
         self._leaves = np.arange(len(self._leaves), dtype=np.int32)

@@ -4,12 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from msg_defs.types import (
-    DESCRIPTOR_SIZE,
-    CameraMount,
-    ObservationSet,
-    RobotFrame,
-)
+from msg_defs.types import DESCRIPTOR_SIZE
 from multi_robot_slam.filter import (
     association,
     informed,
@@ -23,7 +18,8 @@ from multi_robot_slam.filter.landmarks import Landmarks
 from multi_robot_slam.filter.rejuvenation import Rejuvenated
 from multi_robot_slam.filter.settings import FilterSettings, threads
 from multi_robot_slam.filter.state import State, resample
-from multi_robot_slam.models import motion, parallel, stereo
+from multi_robot_slam.models import motion, parallel
+from multi_robot_slam.models.frames import RobotFrame
 from multi_robot_slam.smoothing.odometry_scale import Scales, scaled
 
 MANY_SIGMA = 10.0
@@ -89,16 +85,13 @@ def step(
     state: State,
     frames: list[RobotFrame],
     settings: FilterSettings,
-    mount: CameraMount,
     rng: np.random.Generator,
 ) -> StepInfo:
     """One pass of Algorithm 1's loop, lines 5-10, over the frames of one instant.
 
     `ValueError` when a robot sees one that has no frame among them.
     """
-    infos = PROPOSALS[settings.proposal](
-        state, frames, settings, mount, rng
-    )  # (7)-(13), (18), (19)
+    infos = PROPOSALS[settings.proposal](state, frames, settings, rng)  # (7)-(13), (18), (19)
     for frame, info in zip(frames, infos, strict=True):
         state.log_weights += info.log_likelihood  # (16)
         state.log_weight_sum += info.log_likelihood  # (17)
@@ -108,7 +101,6 @@ def step(
             state.poses[frame.robot],
             info.matches,
             info.new_ids,
-            info.sighted.seen,
         )
     weights = resampling.normalise(state.log_weights)
     effective = resampling.effective_sample_size(weights)
@@ -119,7 +111,7 @@ def step(
         ancestors = resampling.systematic(weights, rng.random())
         resample(state, ancestors)
     if rejuvenation.is_due(state, settings.rejuvenation):
-        rejuvenated = rejuvenation.rejuvenate(state, settings, mount, rng)
+        rejuvenated = rejuvenation.rejuvenate(state, settings, rng)
         ancestors = rejuvenated.ancestors if ancestors is None else ancestors[rejuvenated.ancestors]
         weights = resampling.normalise(state.log_weights)
         around = tuple(moments(state.poses[frame.robot], weights) for frame in frames)
@@ -130,7 +122,6 @@ def propose_by_motion(
     state: State,
     frames: list[RobotFrame],
     settings: FilterSettings,
-    mount: CameraMount,
     rng: np.random.Generator,
 ) -> list[FrameInfo]:
     """Algorithm 1, lines 14-39: draw the poses from the motion model (7), then match and update."""
@@ -140,9 +131,9 @@ def propose_by_motion(
         noise = sigma[:, None] * rng.standard_normal(poses.shape)
         motion.move(poses, scaled(frame.motion, state.scales.factors[frame.robot])[:, None] + noise)
     certain = np.zeros((len(frames), 6, settings.particles))
-    _, sighted = _look_at_each_other(state, frames, certain, settings, mount)
+    _, sighted = _look_at_each_other(state, frames, certain, settings)
     return [
-        _update_as_drawn(state, frame, settings, mount, seen)
+        _update_as_drawn(state, frame, settings, seen)
         for frame, seen in zip(frames, sighted, strict=True)
     ]
 
@@ -151,12 +142,11 @@ def _update_as_drawn(
     state: State,
     frame: RobotFrame,
     settings: FilterSettings,
-    mount: CameraMount,
     sighted: sightings.Sighted,
 ) -> FrameInfo:
     """Match, update and weigh as seen from the drawn poses."""
     poses = state.poses[frame.robot]
-    work = _open(state, frame, settings, mount, doubt=np.zeros(2))
+    work = _open(state, frame, settings, doubt=np.zeros(2))
     parallel.over_particles(
         kernels.associate_and_update,
         settings.particles,
@@ -181,7 +171,6 @@ def propose_informed(
     state: State,
     frames: list[RobotFrame],
     settings: FilterSettings,
-    mount: CameraMount,
     rng: np.random.Generator,
 ) -> list[FrameInfo]:
     """Match first, then draw each pose from what motion, sightings and matches say, then update."""
@@ -191,12 +180,12 @@ def propose_informed(
         motion.move(poses, scaled(frame.motion, state.scales.factors[frame.robot])[:, None])
         spread = motion.spread(frame.motion, frame.seconds, settings.motion).astype(prior.dtype)
         informed.spread_in_map(_as_seen(poses, prior.dtype), spread, prior)
-    joint, sighted = _look_at_each_other(state, frames, priors, settings, mount)
+    joint, sighted = _look_at_each_other(state, frames, priors, settings)
     infos = []
     for frame, prior, seen in zip(frames, priors, sighted, strict=True):
         if joint is not None:
             state.poses[frame.robot], prior[:] = joint.of(frame.robot)
-        infos.append(_match_and_draw(state, frame, prior, settings, mount, rng, seen))
+        infos.append(_match_and_draw(state, frame, prior, settings, rng, seen))
         if joint is not None:
             joint.fix(frame.robot, state.poses[frame.robot])
     return infos
@@ -207,14 +196,13 @@ def _match_and_draw(
     frame: RobotFrame,
     prior: np.ndarray,
     settings: FilterSettings,
-    mount: CameraMount,
     rng: np.random.Generator,
     sighted: sightings.Sighted,
 ) -> FrameInfo:
     """Match, draw the pose from the `prior` (6, M) and what was matched, update and weigh."""
     poses = state.poses[frame.robot]
     variances = [(prior[0] + prior[3]).max(), prior[5].max()]
-    work = _open(state, frame, settings, mount, doubt=MANY_SIGMA * np.sqrt(variances))
+    work = _open(state, frame, settings, doubt=MANY_SIGMA * np.sqrt(variances))
     beliefs = np.empty((9, settings.particles), work.v.dtype)
     gate = work.v.dtype.type(settings.gate)
     parallel.over_particles(
@@ -263,19 +251,14 @@ def _look_at_each_other(
     frames: list[RobotFrame],
     priors: np.ndarray,
     settings: FilterSettings,
-    mount: CameraMount,
 ) -> tuple[sightings.JointBelief | None, list[sightings.Sighted]]:
     """The joint belief after all sightings, None without any; what each frame's were worth."""
-    seen = [sightings.seen_robots(frame.sightings, mount) for frame in frames]
-    if not any(len(own.others) for own in seen):
+    if not any(len(frame.sightings.others) for frame in frames):
         nothing = sightings.Sighted.nothing(settings.particles)
         return None, [nothing] * len(frames)
     robots = [frame.robot for frame in frames]
     joint = sightings.JointBelief(robots, state.poses[robots], priors.astype(float))
-    sighted = [
-        joint.see(robot, own, settings.sighting_gate)
-        for robot, own in zip(robots, seen, strict=True)
-    ]
+    sighted = [joint.see(frame.robot, frame.sightings, settings.sighting_gate) for frame in frames]
     return joint, sighted
 
 
@@ -298,22 +281,21 @@ def _open(
     state: State,
     frame: RobotFrame,
     settings: FilterSettings,
-    mount: CameraMount,
     doubt: np.ndarray,
 ) -> _Work:
     """Find the candidates (18), (19) of a frame and bring them up to date.
 
     `doubt` (2,): how far each pose may still move [m] and turn [rad] before the gate is tried.
     """
-    landmarks, seen = state.landmarks, frame.observations
-    count, dtype = len(seen.positions), landmarks.planes.dtype
-    v, noise = stereo.to_body(seen.positions, seen.covariances, mount)
+    landmarks = state.landmarks
+    v, noise = frame.positions, frame.covariances
+    count, dtype = len(v), landmarks.planes.dtype
     near = np.empty(0, int)
     if count:
         poses = state.poses[frame.robot]
         near = landmarks.near(association.field_of_search(poses, v, noise, settings.gate, doubt))
     candidates = association.find_candidates(
-        seen.descriptors, landmarks.descriptors[near], near, settings.descriptor_gate
+        frame.descriptors, landmarks.descriptors[near], near, settings.descriptor_gate
     )
     touched = np.unique(candidates.columns[candidates.columns >= 0])
     landmarks.bring_up_to_date(touched, threads(settings))
@@ -345,7 +327,7 @@ def _close(
     created = kernels.complete_new(landmarks.planes, work.new_columns, work.matches)
     landmarks.bound(work.touched, settings.gate)
     landmarks.bound(work.new_columns[created > 0], settings.gate)
-    landmarks.settle(work.new_columns, created, frame.observations.descriptors)
+    landmarks.settle(work.new_columns, created, frame.descriptors)
     return FrameInfo(
         ids,
         work.squared,
@@ -386,19 +368,17 @@ def moments(poses: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndar
     return mean, (weights * deviations) @ deviations.T
 
 
-def warm_up(settings: FilterSettings, mount: CameraMount) -> None:
+def warm_up(settings: FilterSettings) -> None:
     """Compile every kernel or load it from the cache: steps of two robots that see two points."""
     rng = np.random.default_rng(0)
     state = init(np.zeros((2, 3)), settings)
-    seen = ObservationSet(
-        "",
-        0,
-        np.array([[0, 0, 2], [0, 1, 2]], np.float32),
-        np.tile(np.array([1, 0, 0, 1, 0, 1], np.float32), (2, 1)),
+    seen = (
+        np.array([[2.0, 0, 0], [2, 0, 1]]),
+        np.tile([1.0, 0, 0, 1, 0, 1], (2, 1)),
         np.eye(2, DESCRIPTOR_SIZE, dtype=np.float32),
     )
     for _ in range(3):
-        frames = [RobotFrame(robot, 0, np.array([0.1, 0, 0.1]), seen) for robot in range(2)]
-        step(state, frames, settings, mount, rng)
+        frames = [RobotFrame(robot, 0, np.array([0.1, 0, 0.1]), *seen) for robot in range(2)]
+        step(state, frames, settings, rng)
     if settings.rejuvenation.ancestors_below > 0:
-        rejuvenation.rejuvenate(state, settings, mount, rng)
+        rejuvenation.rejuvenate(state, settings, rng)

@@ -24,7 +24,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import brentq
 
-from msg_defs.types import CameraMount
 from multi_robot_slam.filter import resampling
 from multi_robot_slam.filter.history import Past, Record
 from multi_robot_slam.filter.settings import FilterSettings, RejuvenationSettings, threads
@@ -86,9 +85,7 @@ def is_due(state: State, settings: RejuvenationSettings) -> bool:
     return np.count_nonzero(np.bincount(state.origins)) < settings.ancestors_below * count
 
 
-def rejuvenate(
-    state: State, settings: FilterSettings, mount: CameraMount, rng: np.random.Generator
-) -> Rejuvenated:
+def rejuvenate(state: State, settings: FilterSettings, rng: np.random.Generator) -> Rejuvenated:
     """Draw the paths of all particles anew, in place."""
     weights = resampling.normalise(state.log_weights)
     ancestors = resampling.systematic(weights, rng.random())
@@ -96,7 +93,7 @@ def rejuvenate(
     groups = _groups(state)
     shared = [g for g in groups if len(g) >= settings.rejuvenation.share * len(weights)]
     alike = _alike(state, settings.descriptor_gate)
-    drawn = [_draw(state, group, alike, settings, mount, rng) for group in shared]
+    drawn = [_draw(state, group, alike, settings, rng) for group in shared]
     state.history.rewrite([group.past for group in drawn], state.settled.count)
     for group in drawn:
         _go_on(state, group, settings)
@@ -157,13 +154,12 @@ def _draw(
     members: np.ndarray,
     alike: np.ndarray,
     settings: FilterSettings,
-    mount: CameraMount,
     rng: np.random.Generator,
 ) -> Drawn:
     """Smooth the history `members` share, and draw a path for each; the first is the optimum."""
     records, poses, identities = _past(state, members)
     problem, smoothed, heirs = _smooth(
-        state.scales.factors, state.settled, records, poses, identities, alike, settings, mount
+        state.scales.factors, state.settled, records, poses, identities, alike, settings
     )
     normals = rng.standard_normal((smoothed.factor.size, len(members)), np.float32)
     normals[:, 0] = 0
@@ -218,7 +214,6 @@ def _smooth(
     identities: list[np.ndarray],
     alike: np.ndarray,
     settings: FilterSettings,
-    mount: CameraMount,
 ) -> tuple[Problem, Smoothed, Heirs]:
     """Smooth, join landmarks that turn out to be one, repeat until none do."""
     heirs = Heirs()
@@ -228,7 +223,6 @@ def _smooth(
             [heirs.of(own) for own in identities],
             settled.start_poses,
             settings.motion,
-            mount,
             settled.known._replace(ids=heirs.of(settled.known.ids)),
             factors,
         )

@@ -18,9 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from msg_defs.types import CameraMount, Sightings
-from multi_robot_slam.models import stereo
-from multi_robot_slam.models.frames import NOBODY, Seen
+from multi_robot_slam.models.frames import NOBODY, BodySightings
 
 SMALLEST_VARIANCE = 1e-18
 """Added where a covariance is inverted: a robot that stood still has none."""
@@ -29,7 +27,7 @@ SMALLEST_VARIANCE = 1e-18
 class Sighted(NamedTuple):
     """What one robot's sightings at one instant were worth to each particle."""
 
-    seen: Seen
+    seen: BodySightings
     squared: np.ndarray
     """(S, M): squared Mahalanobis distance of each."""
     log_factor: np.ndarray
@@ -39,14 +37,6 @@ class Sighted(NamedTuple):
     def nothing(cls, particles: int) -> "Sighted":
         """Nobody was seen."""
         return cls(NOBODY, np.empty((0, particles)), np.zeros(particles))
-
-
-def seen_robots(sightings: Sightings | None, mount: CameraMount) -> Seen:
-    """The sightings turned into `base_link`, without height."""
-    if sightings is None:
-        return NOBODY
-    positions, covariances = stereo.to_body(sightings.positions, sightings.covariances, mount)
-    return Seen(sightings.others.astype(np.int64), positions[:, :2], covariances[:, [0, 1, 3]])
 
 
 class JointBelief:
@@ -69,7 +59,7 @@ class JointBelief:
             rows = slice(3 * i, 3 * i + 3)
             self.covariance[rows, rows] = own[[0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(3, 3, -1)
 
-    def see(self, robot: int, seen: Seen, gate: float) -> Sighted:
+    def see(self, robot: int, seen: BodySightings, gate: float) -> Sighted:
         """Update the belief with all that `robot` saw."""
         worth = [
             self._see(self._rows[robot], self._rows[int(other)], position, noise, gate)

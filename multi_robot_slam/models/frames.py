@@ -5,8 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from msg_defs.types import CameraMount, ObservationSet, Sightings
+from multi_robot_slam.models import stereo
 
-class Seen(NamedTuple):
+
+class BodySightings(NamedTuple):
     """The S robots that one robot sees, in its `base_link`."""
 
     others: np.ndarray
@@ -17,7 +20,61 @@ class Seen(NamedTuple):
     """(S, 3) float64: xx xy yy [m^2]."""
 
 
-NOBODY = Seen(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 3)))
+NOBODY = BodySightings(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 3)))
+
+
+@dataclass(frozen=True, eq=False)
+class RobotFrame:
+    """One robot's share of a filter step: how it moved since its last frame, and what it sees.
+
+    All is in the robot's `base_link`: the filter knows no camera.
+    """
+
+    robot: int
+    """Index in the team."""
+    stamp_ns: int
+    motion: np.ndarray
+    """(3,) float64: u = (dx, dy, dyaw) in the robot's previous `base_link` [m, m, rad]."""
+    positions: np.ndarray
+    """(B, 3) float64: v' of each observation [m]."""
+    covariances: np.ndarray
+    """(B, 6) float64: R' of each observation [m^2]."""
+    descriptors: np.ndarray
+    """(B, 128) float32: d of each observation."""
+    seconds: float = 0.0
+    """How long the motion took [s]."""
+    sightings: BodySightings = NOBODY
+    """Robots it sees, each of which has a frame at the same instant."""
+
+    @classmethod
+    def from_camera(
+        cls,
+        robot: int,
+        motion: np.ndarray,
+        seconds: float,
+        observations: ObservationSet,
+        mount: CameraMount,
+        sightings: Sightings | None = None,
+    ) -> "RobotFrame":
+        """The frame of what a camera at `mount` saw, after `motion` (3,) that took `seconds`."""
+        return cls(
+            robot,
+            observations.stamp_ns,
+            motion,
+            *stereo.to_body(observations.positions, observations.covariances, mount),
+            observations.descriptors,
+            seconds,
+            in_body(sightings, mount),
+        )
+
+
+def in_body(sightings: Sightings | None, mount: CameraMount) -> BodySightings:
+    """The sightings in `base_link`; at which height a robot was seen says nothing of its pose."""
+    if sightings is None:
+        return NOBODY
+    positions, covariances = stereo.to_body(sightings.positions, sightings.covariances, mount)
+    others = sightings.others.astype(np.int64)
+    return BodySightings(others, positions[:, :2], covariances[:, [0, 1, 3]])
 
 
 @dataclass
@@ -30,9 +87,9 @@ class Record:
     motion: np.ndarray
     """(3,) float64: u since the robot's frame before."""
     positions: np.ndarray
-    """(B, 3) float32: v of each observation, camera frame [m]."""
+    """(B, 3) float64: v' of each observation, in `base_link` [m]."""
     covariances: np.ndarray
-    """(B, 6) float32: R of each observation, camera frame [m^2]."""
+    """(B, 6) float64: R' of each observation, in `base_link` [m^2]."""
     poses: np.ndarray
     """(3, R) float64."""
     matches: np.ndarray
@@ -43,4 +100,4 @@ class Record:
     """(R,) int32: row in the record before."""
     seconds: float = 0.0
     """How long the motion took [s]."""
-    sightings: Seen = NOBODY
+    sightings: BodySightings = NOBODY

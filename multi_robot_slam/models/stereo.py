@@ -5,6 +5,7 @@ The camera is fixed on a robot that moves in a plane, so
     v_hat = g(x, l) = C^T (Rz(yaw)^T (l - p) - c)
 
 is a rotation and a shift of the landmark, and its Jacobian (9) the orthogonal G = C^T Rz(yaw)^T.
+C holds how the camera is mounted, c where.
 D (18), |Z| (16) and the update (10)-(13) do not change under a rotation of the measurement, so
 everything is computed with the measurement turned into the map frame, where the Jacobian is the
 identity: innovation G^T (v - v_hat) = g^-1(x, v) - mu, and noise G^T R G.
@@ -33,8 +34,19 @@ def to_body(
 
     """
     offset = np.array([mount.forward_m, mount.left_m, mount.up_m])
-    full = CAMERA_TO_BODY @ unpack(covariances) @ CAMERA_TO_BODY.T
-    return positions @ CAMERA_TO_BODY.T + offset, pack(full)
+    turned = rotation(mount) @ CAMERA_TO_BODY
+    full = turned @ unpack(covariances) @ turned.T
+    return positions @ turned.T + offset, pack(full)
+
+
+def rotation(mount: CameraMount) -> np.ndarray:
+    """(3, 3): Rz(yaw) Ry(pitch) Rx(roll), from a camera that looks straight ahead to this one."""
+    angles = np.array([mount.roll_rad, mount.pitch_rad, mount.yaw_rad])
+    (cr, cp, cy), (sr, sp, sy) = np.cos(angles), np.sin(angles)
+    roll = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+    pitch = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+    yaw = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
+    return yaw @ pitch @ roll
 
 
 def to_map(pose: np.ndarray, positions: np.ndarray) -> np.ndarray:

@@ -23,14 +23,13 @@ from msg_defs.types import (
     LandmarkMap,
     ObservationSet,
     PoseSample,
-    RobotFrame,
     Sightings,
     StepRecord,
     Trajectory,
 )
 from multi_robot_slam.config import Config
 from multi_robot_slam.filter import rbpf, resampling
-from multi_robot_slam.models.frames import Record
+from multi_robot_slam.models.frames import Record, RobotFrame
 from multi_robot_slam.models.motion import increment, wrap
 
 LATE_REMEDY = "raise reorder_window_s, or synchronise the robots' clocks"
@@ -56,9 +55,7 @@ class Pipeline:
         self._warn = warn
         self._rng = np.random.default_rng(config.seed)
         self._state = rbpf.init(np.array(config.start_poses), config.filter)
-        self._robots = [
-            _Robot(index, name, config.sightings) for index, name in enumerate(config.robots)
-        ]
+        self._robots = [_Robot(index, name, config) for index, name in enumerate(config.robots)]
         self._by_name = {robot.name: robot for robot in self._robots}
         self._first_ns: int | None = None
         self._filtered_ns = -1
@@ -70,7 +67,7 @@ class Pipeline:
 
     def warm_up(self) -> None:
         """Compile the filter's kernels, or load them from the cache."""
-        rbpf.warm_up(self.config.filter, self.config.mount)
+        rbpf.warm_up(self.config.filter)
 
     @property
     def pending(self) -> int:
@@ -233,7 +230,7 @@ class Pipeline:
     def _step(self, stamp_ns: int, frames: list[RobotFrame]) -> StepRecord:
         start = time.perf_counter()
         config = self.config
-        info = rbpf.step(self._state, frames, config.filter, config.mount, self._rng)
+        info = rbpf.step(self._state, frames, config.filter, self._rng)
         self._filtered_ns = stamp_ns
         best = rbpf.best_particle(self._state)
         before = best if info.ancestors is None else info.ancestors[best]
@@ -241,7 +238,7 @@ class Pipeline:
             stamp_ns=stamp_ns,
             step=self._state.steps,
             frames=tuple(
-                _frame_record(frame, seen, before, config.filter.sighting_gate)
+                _frame_record(config.robots[frame.robot], seen, before, config.filter.sighting_gate)
                 for frame, seen in zip(frames, info.frames, strict=True)
             ),
             estimates=tuple(
@@ -258,7 +255,7 @@ class Pipeline:
         self, frame: RobotFrame, best: int, mean: np.ndarray, covariance: np.ndarray
     ) -> Estimate:
         return Estimate(
-            robot=frame.observations.robot,
+            robot=self.config.robots[frame.robot],
             stamp_ns=frame.stamp_ns,
             pose=_wrapped(mean if self._draws else self._state.poses[frame.robot, :, best]),
             covariance=covariance,
@@ -274,7 +271,7 @@ class Pipeline:
 class _Robot:
     """What one robot has sent and the filter has not used yet."""
 
-    def __init__(self, index: int, name: str, sends_sightings: bool):
+    def __init__(self, index: int, name: str, config: Config):
         self.index = index
         self.name = name
         self.waiting: deque[ObservationSet] = deque()
@@ -282,7 +279,8 @@ class _Robot:
         self.used_pose = np.zeros(3)
         self._odometry: deque[PoseSample] = deque(maxlen=MOST_ODOMETRY)
         self._used_ns: int | None = None
-        self._sends_sightings = sends_sightings
+        self._sends_sightings = config.sightings
+        self._mount = config.mount_of(index)
         self._sightings: deque[Sightings] = deque()
         self.sightings_ns = -1
 
@@ -342,7 +340,9 @@ class _Robot:
             motion = increment(self.used_pose, pose)
             seconds = (stamp_ns - self._used_ns) / 1e9
         self.used_pose, self._used_ns = pose, stamp_ns
-        return RobotFrame(self.index, stamp_ns, motion, observations, seconds, sightings)
+        return RobotFrame.from_camera(
+            self.index, motion, seconds, observations, self._mount, sightings
+        )
 
     def _odometry_at(self, stamp_ns: int) -> np.ndarray:
         """Odometry interpolated at `stamp_ns`; before the first sample, the first."""
@@ -377,13 +377,13 @@ def _only(sightings: Sightings | None, robots: Collection[int]) -> Sightings | N
 
 
 def _frame_record(
-    frame: RobotFrame, info: rbpf.FrameInfo, particle: int, sighting_gate: float
+    robot: str, info: rbpf.FrameInfo, particle: int, sighting_gate: float
 ) -> FrameRecord:
     matches = info.matches[:, particle]
     sighted = info.sighted.squared[:, particle]
     is_new = matches == info.new_ids
     return FrameRecord(
-        robot=frame.observations.robot,
+        robot=robot,
         landmarks=matches.astype(np.int64),
         is_new=is_new,
         is_rejected=is_new & (np.diff(info.candidates.starts) > 0),

@@ -140,9 +140,7 @@ def _smooth(
     motion, starts = config.filter.motion, np.array(config.start_poses)
     motions = np.array([record.motion for record in records])
     for _ in range(MOST_ROUNDS):
-        problem = problem_of(
-            records, identities, starts, motion, config.mount, factors=scales.factors
-        )
+        problem = problem_of(records, identities, starts, motion, factors=scales.factors)
         smoothed = solve.smooth(problem, poses, robust_above)
         learnt = learn(scales, problem, smoothed, motions, settled=0.0)
         if np.abs(learnt.factors - scales.factors).max() < SMALLEST_CHANGE:

@@ -6,8 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from msg_defs.types import CameraMount
-from multi_robot_slam.models import stereo
 from multi_robot_slam.models.frames import NOBODY, Record
 from multi_robot_slam.models.motion import MotionSettings, standard_deviations
 from multi_robot_slam.smoothing.kernels import inverses
@@ -100,7 +98,6 @@ def problem_of(
     identities: Sequence[np.ndarray],
     start_poses: np.ndarray,
     noise: MotionSettings,
-    mount: CameraMount,
     known: Known | None = None,
     factors: np.ndarray | None = None,
 ) -> Problem:
@@ -128,11 +125,8 @@ def problem_of(
         [np.full(len(known.ids), MAP), np.repeat(np.arange(len(records)), counts)]
     )
     seen = np.concatenate([known.ids, *identities]).astype(np.int64)
-    positions, covariances = stereo.to_body(
-        np.concatenate([np.empty((0, 3)), *(record.positions for record in records)]),
-        np.concatenate([np.empty((0, 6)), *(record.covariances for record in records)]),
-        mount,
-    )
+    positions = np.concatenate([np.empty((0, 3)), *(record.positions for record in records)])
+    covariances = np.concatenate([np.empty((0, 6)), *(record.covariances for record in records)])
     order = np.argsort(seen, kind="stable")
     order = order[np.searchsorted(seen[order], 0) :]
     ids, first = np.unique(seen[order], return_index=True)

@@ -18,6 +18,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
 from msg_defs.types import CameraMount, ObservationSet
+from multi_robot_slam.models import stereo
 from multi_robot_slam.report import plots
 from multi_robot_slam.report.plots import DPI
 from multi_robot_slam.runs.colours import ROBOT_COLOURS
@@ -255,13 +256,9 @@ class View(NamedTuple):
 
 def view(true_pose: np.ndarray, seen: ObservationSet, mount: CameraMount) -> View:
     """The observations of a robot at `true_pose` (x, y, yaw)."""
-    across, up, ahead = seen.positions.T.astype(float)
-    body = [ahead + mount.forward_m, mount.left_m - across, up + mount.up_m]
-    eye = np.array([[mount.forward_m], [mount.left_m], [mount.up_m]])
-    x, y, z = np.hstack([eye, body])
-    c, s = np.cos(true_pose[2]), np.sin(true_pose[2])
-    points = np.column_stack([true_pose[0] + c * x - s * y, true_pose[1] + s * x + c * y, z])
-    return View(points[0], points[1:])
+    points, _ = stereo.to_body(seen.positions, seen.covariances, mount)
+    eye = np.array([[mount.forward_m, mount.left_m, mount.up_m]])
+    return View(stereo.to_map(true_pose, eye)[0], stereo.to_map(true_pose, points))
 
 
 def world_figure(run: Run, views: list[View]) -> Figure:

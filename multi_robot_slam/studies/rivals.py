@@ -38,11 +38,11 @@ def check_literal() -> None:
 def against_literal(session: Session, rounds: int) -> Comparison:
     """Whole steps against the literal Algorithm 1, both from the same particles each round."""
     literal = _load_literal()
-    settings, mount = session.settings, session.mount
+    settings = session.settings
     model = literal.Model(
         settings.gate,
         settings.descriptor_gate,
-        (mount.forward_m, mount.left_m, mount.up_m),
+        (0.0, 0.0, 0.0),
         tuple(vars(settings.motion).values())[:4],
     )
     rival, fast, same = [], [], []
@@ -53,9 +53,10 @@ def against_literal(session: Session, rounds: int) -> Comparison:
         start = process_time()
         choices = []
         for frame in frames:
-            seen = frame.observations
-            z = (seen.positions.astype(float), seen.descriptors.astype(float))
-            R = stereo.unpack(seen.covariances)
+            # The literal filter looks from the camera, here one in `base_link`.
+            axes = stereo.CAMERA_TO_BODY
+            z = (frame.positions @ axes, frame.descriptors.astype(float))
+            R = axes.T @ stereo.unpack(frame.covariances) @ axes
             normals = rng.standard_normal((3, len(S)))
             choices.append(
                 literal.fast_slam_mr(S, frame.robot, z, R, frame.motion, normals, model, None)
@@ -80,14 +81,12 @@ def against_textbook(session: Session, particles: int, rounds: int) -> Compariso
         times = [session.step() for _ in range(FAST_STEPS - 1)]
         few, ids = _textbook_copies(session.state, particles)
         frames = session.world.drive(SPEED)
-        observations = sum(len(frame.observations.positions) for frame in frames)
+        observations = sum(len(frame.positions) for frame in frames)
         rng = np.random.default_rng(seed)
         normals = [rng.standard_normal((3, session.settings.particles)) for _ in frames]
         start = process_time()
         choices = [
-            textbook.update_particles(
-                few, frame, session.settings, session.mount, draws[:, :particles]
-            )
+            textbook.update_particles(few, frame, session.settings, draws[:, :particles])
             for frame, draws in zip(frames, normals, strict=True)
         ]
         rival.append((process_time() - start) / (particles * observations))
@@ -109,7 +108,7 @@ def _time_on_copies(session: Session, frames, seed: int) -> float:
     for _ in range(FAST_STEPS):
         state, rng = copy.deepcopy(session.state), np.random.default_rng(seed)
         start = process_time()
-        rbpf.step(state, frames, session.settings, session.mount, rng)
+        rbpf.step(state, frames, session.settings, rng)
         times.append(process_time() - start)
     return float(np.median(times))
 

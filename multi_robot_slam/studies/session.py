@@ -6,10 +6,10 @@ from unittest.mock import patch
 
 import numpy as np
 
-from msg_defs.types import RobotFrame
 from multi_robot_slam.filter import rbpf
 from multi_robot_slam.filter.settings import FilterSettings
-from multi_robot_slam.studies.workload import CAMERA, World
+from multi_robot_slam.models.frames import RobotFrame
+from multi_robot_slam.studies.workload import World
 
 SURVEY_SPEED = 5.0
 """Landmarks passed in a step while the map is made."""
@@ -42,7 +42,6 @@ class Session:
     def __init__(
         self, landmarks: int, robots: int, particles: int, observations: int, proposal: str
     ):
-        self.mount = CAMERA.mount
         self.settings = FilterSettings(particles=particles, resample_below=1.0, threads=1)
         ring = 2 * landmarks + 1000
         self.world = World(ring, robots, self.settings.motion, observations, seed=0)
@@ -79,7 +78,7 @@ class Session:
             patch.dict(rbpf.PROPOSALS, {name: proposal}),
             patch.object(landmarks, "bring_up_to_date", gather),
         ):
-            info = whole(self.state, frames, self.settings, self.mount, rng)
+            info = whole(self.state, frames, self.settings, rng)
         self._judge(info)
         return Clock(whole.seconds, proposal.seconds, gather.seconds), info
 

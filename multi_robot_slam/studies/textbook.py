@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from msg_defs.types import CameraMount, RobotFrame
 from multi_robot_slam.filter.settings import FilterSettings
 from multi_robot_slam.models import motion, stereo
+from multi_robot_slam.models.frames import RobotFrame
 
 
 @dataclass
@@ -36,7 +36,6 @@ def update_particles(
     particles: list[Particle],
     frame: RobotFrame,
     settings: FilterSettings,
-    mount: CameraMount,
     normals: np.ndarray,
 ) -> list[list[int]]:
     """Predict, associate, update and weigh; returns which landmark each observation updated.
@@ -50,16 +49,15 @@ def update_particles(
     For each particle B indices into its landmarks; a new one is the last of its time.
 
     """
-    seen = frame.observations
-    covariances = stereo.unpack(seen.covariances)
+    covariances = stereo.unpack(frame.covariances)
     sigma = motion.standard_deviations(frame.motion, frame.seconds, settings.motion)
     matches = []
     for particle, normal in zip(particles, normals.T, strict=True):
         pose = predict(particle.poses[frame.robot], frame.motion + sigma * normal)
         particle.poses[frame.robot] = pose
-        rotation, position = camera(pose, mount)
+        rotation, position = base_link(pose)
         chosen = []
-        for v, R, d in zip(seen.positions, covariances, seen.descriptors, strict=True):
+        for v, R, d in zip(frame.positions, covariances, frame.descriptors, strict=True):
             n = associate(particle.landmarks, rotation, position, v, R, d, settings)
             if n is None:
                 n = len(particle.landmarks)
@@ -79,12 +77,11 @@ def predict(pose: np.ndarray, u: np.ndarray) -> np.ndarray:
     return pose + np.array([c * u[0] - s * u[1], s * u[0] + c * u[1], u[2]])
 
 
-def camera(pose: np.ndarray, mount: CameraMount) -> tuple[np.ndarray, np.ndarray]:
-    """Rotation (3, 3) from the camera to the map and position (3,) of the camera."""
+def base_link(pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rotation (3, 3) from `base_link` to the map and position (3,) of the robot."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
-    base = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    offset = np.array([mount.forward_m, mount.left_m, mount.up_m])
-    return base @ stereo.CAMERA_TO_BODY, np.array([pose[0], pose[1], 0.0]) + base @ offset
+    rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    return rotation, np.array([pose[0], pose[1], 0.0])
 
 
 def associate(landmarks, rotation, position, v, R, d, settings) -> int | None:
@@ -102,7 +99,7 @@ def associate(landmarks, rotation, position, v, R, d, settings) -> int | None:
 
 
 def innovate(landmark, rotation, position, v, R) -> tuple[np.ndarray, np.ndarray]:
-    """Innovation (3,) and its covariance Z (3, 3), in the camera frame (8)-(10)."""
+    """Innovation (3,) and its covariance Z (3, 3), in `base_link` (8)-(10)."""
     H = rotation.T
     return v - H @ (landmark.mean - position), H @ landmark.covariance @ H.T + R
 

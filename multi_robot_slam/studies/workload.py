@@ -7,8 +7,9 @@ steady rate.
 
 import numpy as np
 
-from msg_defs.types import ObservationSet, RobotFrame, StereoCamera
+from msg_defs.types import ObservationSet, StereoCamera
 from multi_robot_slam.models import motion, stereo
+from multi_robot_slam.models.frames import RobotFrame
 from multi_robot_slam.models.motion import MotionSettings
 
 CAMERA = StereoCamera(sigma_rc_px=1.0)
@@ -71,7 +72,9 @@ class World:
         self.seen_before = set(self.seen)
         self.seen.update(np.concatenate(self.latest).tolist())
         return [
-            RobotFrame(robot, self._stamp_ns, self._odometry(old, new), self._observe(new, numbers))
+            RobotFrame.from_camera(
+                robot, self._odometry(old, new), 0.0, self._observe(new, numbers), CAMERA.mount
+            )
             for robot, (old, new, numbers) in enumerate(
                 zip(before, self.poses(), self.latest, strict=True)
             )

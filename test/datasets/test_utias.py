@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from scipy.io import loadmat, savemat
 
-from msg_defs.types import CameraMount, ObservationSet, RobotFrame
+from msg_defs.types import CameraMount, ObservationSet
 from multi_robot_slam.datasets import utias
 from multi_robot_slam.filter import rbpf
 from multi_robot_slam.filter.settings import FilterSettings
 from multi_robot_slam.models import stereo
+from multi_robot_slam.models.frames import RobotFrame
 from multi_robot_slam.models.motion import MotionSettings
 
 FOLDER = "utias_state_estimation"
@@ -113,8 +114,9 @@ def test_landmarks_of_a_real_stereo_camera_along_its_true_path(shared_data):
         motion = np.array([*(centre[:2] - place[:2]), 0.0])
         place = centre
         points[:, 2] += centre[2]
-        frame = RobotFrame(0, k, motion, as_camera(points, covariances, seen, k))
-        rbpf.step(state, [frame], settings, mount, np.random.default_rng(0))
+        seen_now = as_camera(points, covariances, seen, k)
+        frame = RobotFrame.from_camera(0, motion, 0.0, seen_now, mount)
+        rbpf.step(state, [frame], settings, np.random.default_rng(0))
         names += [number for number in seen if number not in names]
     columns, values = state.landmarks.of_particle(0)
     identities = state.landmarks.descriptors[columns].argmax(axis=1)

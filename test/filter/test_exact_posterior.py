@@ -5,11 +5,12 @@ jointly Gaussian. The filter's weighted mean and covariance must be theirs, with
 error of the particles.
 """
 
+import linear_world
 import numpy as np
 import pytest
-from linear_world import LANDMARKS, MOUNT, SIGMA_MOVE, SIGMA_SEE, STEPS, world
+from linear_world import LANDMARKS, SIGMA_MOVE, SIGMA_SEE, STEPS, world
 
-from msg_defs.types import ObservationSet, RobotFrame
+from msg_defs.types import ObservationSet
 from multi_robot_slam.filter import rbpf
 from multi_robot_slam.filter.settings import FilterSettings
 from multi_robot_slam.models.motion import MotionSettings
@@ -47,8 +48,8 @@ def filtered(moves, seen, proposal, seed):
         camera = np.stack([-seen[t, :, 1], seen[t, :, 2], seen[t, :, 0]], axis=1)
         R = np.tile([SIGMA_SEE**2, 0, 0, SIGMA_SEE**2, 0, SIGMA_SEE**2], (LANDMARKS, 1))
         z = ObservationSet("", t, camera, R, descriptors)
-        frame = RobotFrame(0, t, np.array([*moves[t], 0.0]), z)
-        info = rbpf.step(state, [frame], settings, MOUNT, rng)
+        frame = linear_world.frame(t, moves[t], z)
+        info = rbpf.step(state, [frame], settings, rng)
     landmarks = state.landmarks
     landmarks.bring_up_to_date(landmarks.alive())
     planes = landmarks.planes[landmarks.alive()]

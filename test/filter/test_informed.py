@@ -16,7 +16,7 @@ def test_equals_the_literal_twin_draw_for_draw(seed):
     settings = worlds.settings(particles=6, proposal="informed", resample_below=0.7)
     rng = np.random.default_rng(seed)
     state = rbpf.init(worlds.START, settings, np.float64)
-    infos = [rbpf.step(state, frames, settings, worlds.MOUNT, rng) for frames in steps]
+    infos = [rbpf.step(state, frames, settings, rng) for frames in steps]
 
     rng, mount = np.random.default_rng(seed), worlds.MOUNT
     sigmas = tuple(vars(settings.motion).values())[:4]

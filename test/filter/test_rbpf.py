@@ -14,7 +14,7 @@ from multi_robot_slam.models import stereo
 def run_filter(steps, settings, seed, dtype=np.float32):
     rng = np.random.default_rng(seed)
     state = rbpf.init(worlds.START, settings, dtype)
-    infos = [rbpf.step(state, frames, settings, worlds.MOUNT, rng) for frames in steps]
+    infos = [rbpf.step(state, frames, settings, rng) for frames in steps]
     return state, infos
 
 
@@ -129,7 +129,7 @@ def test_history_is_the_lineage_of_each_particle():
     matches = np.empty((0, 5, 20), int)
     for frames in steps:
         before = state.poses[0]
-        info = rbpf.step(state, frames, settings, worlds.MOUNT, rng)
+        info = rbpf.step(state, frames, settings, rng)
         paths = np.concatenate([paths, before[None]])
         matches = np.concatenate([matches, info.frames[0].matches[None]])
         if info.ancestors is not None:
@@ -148,7 +148,7 @@ def test_moments_are_those_of_the_weighted_particles_before_resampling():
     for threshold in (0.0, 1.0):
         state, rng = copy.deepcopy(before), np.random.default_rng(12)
         settings = worlds.settings(resample_below=threshold)
-        infos.append(rbpf.step(state, steps[2], settings, worlds.MOUNT, rng))
+        infos.append(rbpf.step(state, steps[2], settings, rng))
         if threshold == 0:
             weights = rbpf.resampling.normalise(state.log_weights)
             expected = [(p @ weights, np.cov(p, aweights=weights, ddof=0)) for p in state.poses]

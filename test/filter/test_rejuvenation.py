@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import worlds
 
-from msg_defs.types import ObservationSet, RobotFrame
+from msg_defs.types import ObservationSet
 from multi_robot_slam.filter import rbpf, rejuvenation
 from multi_robot_slam.filter.settings import FilterSettings, RejuvenationSettings
 from multi_robot_slam.models import stereo
@@ -20,13 +20,13 @@ ALWAYS = RejuvenationSettings(ancestors_below=1.0)
 def run(steps, settings, seed=0, dtype=np.float64):
     state = rbpf.init(worlds.START, settings, dtype)
     rng = np.random.default_rng(seed)
-    return state, [rbpf.step(state, frames, settings, worlds.MOUNT, rng) for frames in steps]
+    return state, [rbpf.step(state, frames, settings, rng) for frames in steps]
 
 
 def rejuvenated(state, settings, seed=1):
     """Rejuvenate now, whether due or not."""
     rng = np.random.default_rng(seed)
-    return rejuvenation.rejuvenate(state, replace(settings, threads=1), worlds.MOUNT, rng)
+    return rejuvenation.rejuvenate(state, replace(settings, threads=1), rng)
 
 
 def exact_smoother(moves, seen):
@@ -78,10 +78,8 @@ def test_in_a_linear_world_the_particles_are_the_exact_smoother_s(proposal):
     for t in range(linear.STEPS):
         camera = np.stack([-seen[t, :, 1], seen[t, :, 2], seen[t, :, 0]], axis=1)
         z = ObservationSet("", t, camera, R, descriptors)
-        rbpf.step(
-            state, [RobotFrame(0, t, np.array([*moves[t], 0.0]), z)], settings, linear.MOUNT, rng
-        )
-    info = rejuvenation.rejuvenate(state, settings, linear.MOUNT, rng)
+        rbpf.step(state, [linear.frame(t, moves[t], z)], settings, rng)
+    info = rejuvenation.rejuvenate(state, settings, rng)
     assert info.alone == 0
     assert info.effective_particles > 0.95 * count
 
@@ -107,14 +105,15 @@ def test_landmark_filters_are_those_of_filtering_along_the_drawn_path():
     settings = worlds.settings(particles=5, proposal="informed", gate=1e3, robust_above=1e6)
     state, _ = run(worlds.drive(4, steps=12), settings)
     rejuvenated(state, settings)
-    place = (worlds.MOUNT.forward_m, worlds.MOUNT.left_m, worlds.MOUNT.up_m)
-    model = literal.Model(settings.gate, settings.descriptor_gate, place, (0, 0, 0, 0))
+    # The literal filter looks from a camera: here from one that sits in `base_link`.
+    axes = stereo.CAMERA_TO_BODY
+    model = literal.Model(settings.gate, settings.descriptor_gate, (0, 0, 0), (0, 0, 0, 0))
     for m in range(5):
         known = {}
         for record, row in list(state.history.lineage(m))[::-1]:
-            pose, R = record.poses[:, row], stereo.unpack(record.covariances)
+            pose, R = record.poses[:, row], axes.T @ stereo.unpack(record.covariances) @ axes
             for b, n in enumerate(record.matches[:, row]):
-                G, v = literal.G(pose), record.positions[b].astype(float)
+                G, v = literal.G(pose), record.positions[b] @ axes
                 if n not in known:
                     sigma = np.linalg.inv(G.T @ np.linalg.inv(R[b]) @ G)
                     known[n] = literal.g_inverse(pose, v, model), sigma
@@ -184,7 +183,7 @@ def straight_ahead(seed, steps):
             rng,
             t,
         )
-        frames.append([RobotFrame(0, t * 10**9, u + rng.normal(0, 0.01, 3) * (t > 0), z)])
+        frames.append([worlds.frame(0, u + rng.normal(0, 0.01, 3) * (t > 0), z)])
     return frames
 
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from msg_defs.types import CameraMount, ObservationSet, PoseSample, RobotFrame, Sightings
+from msg_defs.types import CameraMount, ObservationSet, PoseSample, Sightings
 from multi_robot_slam.config import Config
 from multi_robot_slam.filter import rbpf, sightings
 from multi_robot_slam.filter.settings import FilterSettings
-from multi_robot_slam.models.frames import Seen
+from multi_robot_slam.models.frames import BodySightings, RobotFrame
 from multi_robot_slam.models.motion import MotionSettings
 from multi_robot_slam.pipeline.pipeline import UNPLACED, Pipeline
 
@@ -79,12 +79,13 @@ def frames_of(t, moved, seen, looks):
         mine = [n for n, (i, _) in enumerate(LOOKS) if i == robot]
         others = np.array([LOOKS[n][1] for n in mine], np.uint32)
         body = np.pad(looks[mine], ((0, 0), (0, 1)))
-        yield RobotFrame(
+        yield RobotFrame.from_camera(
             robot,
-            t,
             np.array([*moved, 0.0]),
+            0.0,
             ObservationSet("", t, in_camera(seen[[robot]]), isotropic(1, SIGMA_SEE), descriptor),
-            sightings=Sightings("", t, others, in_camera(body), isotropic(len(mine), SIGMA_SIGHT)),
+            MOUNT,
+            Sightings("", t, others, in_camera(body), isotropic(len(mine), SIGMA_SIGHT)),
         )
 
 
@@ -97,7 +98,7 @@ def test_posterior_is_the_kalman_filter_s(proposal):
     rng = np.random.default_rng(3)
     state = rbpf.init(STARTS, settings, np.float64)
     for t, measured in enumerate(world(5)):
-        info = rbpf.step(state, list(frames_of(t, *measured)), settings, MOUNT, rng)
+        info = rbpf.step(state, list(frames_of(t, *measured)), settings, rng)
     weights = rbpf.resampling.normalise(state.log_weights)
     state.landmarks.bring_up_to_date(state.landmarks.alive())
     (planes,) = state.landmarks.planes[state.landmarks.alive()]
@@ -122,7 +123,7 @@ def test_one_sighting_informs_both_as_one_dense_update_would():
     s, R = np.array([2.9, -0.3]), np.array([[0.02, 0.005], [0.005, 0.01]])
     packed = np.array([P[:3, :3], P[3:, 3:]])[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
     joint = sightings.JointBelief([0, 1], x.reshape(2, 3, 1).copy(), packed[:, :, None])
-    worth = joint.see(0, Seen(np.array([1]), s[None], R[[0, 0, 1], [0, 1, 1]][None]), 1e9)
+    worth = joint.see(0, BodySightings(np.array([1]), s[None], R[[0, 0, 1], [0, 1, 1]][None]), 1e9)
 
     def residual(x):
         c, s_ = np.cos(x[2]), np.sin(x[2])
@@ -145,7 +146,7 @@ def test_a_gross_error_changes_no_belief_and_weighs_as_the_gate():
     means, covariances = np.zeros((2, 3, 4)), np.full((2, 6, 4), [[0.1], [0], [0], [0.1], [0], [0]])
     joint = sightings.JointBelief([0, 1], means.copy(), covariances)
     before = joint.covariance.copy()
-    seen = Seen(np.array([1]), np.array([[50.0, 0.0]]), np.array([[0.01, 0.0, 0.01]]))
+    seen = BodySightings(np.array([1]), np.array([[50.0, 0.0]]), np.array([[0.01, 0.0, 0.01]]))
     worth = joint.see(0, seen, 9.0)
     assert (worth.squared > 9.0).all()
     assert (joint.mean == 0).all()

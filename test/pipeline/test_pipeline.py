@@ -67,7 +67,7 @@ def test_steps_equal_the_bare_filter():
     settings, rng = worlds.settings(particles=20), np.random.default_rng(0)
     state = rbpf.init(worlds.START, settings)
     for frames in steps:
-        rbpf.step(state, frames, settings, worlds.MOUNT, rng)
+        rbpf.step(state, frames, settings, rng)
     best = rbpf.best_particle(state)
     poses = np.array([e.pose for e in records[-1].estimates])
     np.testing.assert_allclose(np.cos(poses - state.poses[:, :, best]), 1, atol=1e-12)

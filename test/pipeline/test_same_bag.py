@@ -9,9 +9,10 @@ import literal_algorithm1 as literal
 import numpy as np
 import pytest
 import recordings
+import worlds
 
 from msg_defs import topics, wire
-from msg_defs.types import PoseSample, RobotFrame
+from msg_defs.types import PoseSample
 from multi_robot_slam.bags.bag import BagReader, absolute
 from multi_robot_slam.filter import rbpf
 from multi_robot_slam.pipeline import offline
@@ -33,7 +34,7 @@ def paired(events, names):
         pose = odometry[seen.robot, seen.stamp_ns]
         motion = between(before.get(seen.robot, pose), pose)
         before[seen.robot] = pose
-        frame = RobotFrame(names.index(seen.robot), seen.stamp_ns, motion, seen)
+        frame = worlds.frame(names.index(seen.robot), motion, seen)
         steps.setdefault(seen.stamp_ns, []).append(frame)
     return [sorted(steps[stamp], key=lambda frame: frame.robot) for stamp in sorted(steps)]
 

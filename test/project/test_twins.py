@@ -14,7 +14,7 @@ from sim_world.scenario import OdometryNoise, Scenario
 coordinates = st.floats(-30, 30)
 poses = st.tuples(coordinates, coordinates, st.floats(-3.1, 3.1)).map(np.array)
 points = st.tuples(coordinates, coordinates, st.floats(-2, 4)).map(np.array)
-mounts = st.builds(CameraMount, *[st.floats(-1, 1)] * 3)
+mounts = st.builds(CameraMount, *[st.floats(-1, 1)] * 3, *[st.floats(-3, 3)] * 3)
 shares = st.floats(0, 0.5)
 
 

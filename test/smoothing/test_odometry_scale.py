@@ -26,7 +26,7 @@ def history(seed=0, steps=25):
     state = rbpf.init(worlds.START, settings, np.float64)
     rng = np.random.default_rng(seed)
     for frames in told_too_much(worlds.drive(seed, steps)):
-        rbpf.step(state, frames, settings, worlds.MOUNT, rng)
+        rbpf.step(state, frames, settings, rng)
     lineage = list(state.history.lineage(0))[::-1]
     records = [record for record, _ in lineage]
     poses = np.array([record.poses[:, row] for record, row in lineage])
@@ -34,7 +34,7 @@ def history(seed=0, steps=25):
 
 
 def smoothed_with(records, identities, poses, factors):
-    problem = problem_of(records, identities, worlds.START, NOISE, worlds.MOUNT, factors=factors)
+    problem = problem_of(records, identities, worlds.START, NOISE, factors=factors)
     return problem, solve.smooth(problem, poses, smallest_step=1e-8)
 
 
@@ -86,6 +86,6 @@ def test_a_run_finds_the_factors():
         state = rbpf.init(worlds.START, settings, np.float64)
         rng = np.random.default_rng(seed)
         for frames in told_too_much(worlds.drive(seed, steps=60)):
-            rbpf.step(state, frames, settings, worlds.MOUNT, rng)
+            rbpf.step(state, frames, settings, rng)
         found.append(state.scales.factors)
     np.testing.assert_allclose(np.mean(found, axis=(0, 1)), TRUE, atol=0.02)

@@ -298,9 +298,7 @@ def test_optimum_stays_when_older_poses_settle(sighted, robust_above):
     whole, whole_ids = None, np.unique(np.concatenate(identities))
     for count in (0, 12, 18):
         first += count
-        problem = problem_of(
-            records[first:], identities[first:], start, settings.motion, worlds.MOUNT, known
-        )
+        problem = problem_of(records[first:], identities[first:], start, settings.motion, known)
         found = smooth(
             problem, poses[first:] if whole is None else whole.poses[first:], robust_above
         )
@@ -324,7 +322,7 @@ def test_gross_errors_are_left_out():
         for r in records
     ]
     kept = [np.delete(rows, 1) for rows in identities]
-    common = (worlds.START, settings.motion, worlds.MOUNT)
+    common = (worlds.START, settings.motion)
     found, expected = problem_of(records, discarded, *common), problem_of(without, kept, *common)
     for name in ("seen_from", "starts", "positions", "information", "ids"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))

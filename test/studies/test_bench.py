@@ -13,7 +13,7 @@ from multi_robot_slam.models import stereo
 from multi_robot_slam.models.motion import MotionSettings, increment, standard_deviations
 from multi_robot_slam.studies import bench, machine, rivals, session
 from multi_robot_slam.studies.session import Clock, Session
-from multi_robot_slam.studies.workload import CAMERA, World
+from multi_robot_slam.studies.workload import World
 
 TINY = bench.Sizes(
     particles=100,
@@ -97,8 +97,7 @@ def test_observations_and_odometry_have_the_noise_they_state():
     poses = world.poses()
     for step in range(120):
         for frame, before, after in zip(world.drive(2.0), poses, world.poses(), strict=True):
-            seen = frame.observations
-            v, R = stereo.to_body(seen.positions, seen.covariances, CAMERA.mount)
+            v, R = frame.positions, frame.covariances
             exact = world._landmarks[world.latest[frame.robot]] - [*after[:2], 0]
             error = v - stereo.to_map([0, 0, -after[2]], exact)
             squared.append(

@@ -33,7 +33,7 @@ def both(request):
             choices.append(
                 literal.fast_slam_mr(S, frame.robot, z, R, frame.motion, normals, model, t)
             )
-            indices.append(textbook.update_particles(particles, frame, settings, mount, normals))
+            indices.append(textbook.update_particles(particles, frame, settings, normals))
     return S, particles, choices, indices
 
 
