@@ -3,7 +3,7 @@
 import numpy as np
 
 from msg_defs.types import CameraMount, ObservationSet
-from multi_robot_slam.filter.settings import FilterSettings
+from multi_robot_slam.filter.settings import NO_REJUVENATION, FilterSettings
 from multi_robot_slam.models.frames import RobotFrame
 from multi_robot_slam.models.motion import MotionSettings
 
@@ -17,6 +17,7 @@ def settings(particles: int = 12, **changes) -> FilterSettings:
         forward_per_sqrt_m=0.05, left_per_sqrt_m=0.03, yaw_per_sqrt_m=0.03, yaw_per_sqrt_rad=0.05
     )
     paper = {"proposal": "motion", "resample_below": 1.0, "exclusive": False, "motion": noise}
+    paper["rejuvenation"] = NO_REJUVENATION
     return FilterSettings(particles=particles, **paper | changes)
 
 

@@ -22,7 +22,7 @@ class RejuvenationSettings:
         Interval(ge=0, le=1),
         "rejuvenate when the particles descend from less than this share of those of the last "
         "time; 0 is never",
-    ] = 0.0
+    ] = 0.25
     rest: Annotated[int, Ge(1), "fewest steps between two rejuvenations"] = 1
     window: Annotated[
         int, Ge(1), "poses of all robots that are drawn anew; older ones stay as they are"
@@ -32,6 +32,10 @@ class RejuvenationSettings:
         Interval(gt=0, le=1),
         "smallest share of the particles with one association history that is rejuvenated",
     ] = 0.1
+
+
+NO_REJUVENATION = RejuvenationSettings(ancestors_below=0.0)
+"""The filter alone, as in the paper."""
 
 
 @settings

@@ -15,7 +15,7 @@ from msg_defs import scenario_file
 from msg_defs.errors import InputError
 from msg_defs.types import LandmarkMap, Trajectory, Walls
 from multi_robot_slam.config import SECTION, Config
-from multi_robot_slam.filter.settings import FilterSettings
+from multi_robot_slam.filter.settings import NO_REJUVENATION, FilterSettings
 from multi_robot_slam.pipeline import refinement
 from multi_robot_slam.pipeline.pipeline import Pipeline
 from multi_robot_slam.runs import evaluation
@@ -91,7 +91,7 @@ def paper() -> Base:
     path = scenario_file.find_scenario("paper")
     filters = {
         "motion": scenario_file.from_file(Config, path, SECTION).filter,
-        "informed": FilterSettings(),
+        "informed": FilterSettings(rejuvenation=NO_REJUVENATION),
     }
     return Base(
         scenario_file.from_file(Scenario, path, WORLD_SECTION),

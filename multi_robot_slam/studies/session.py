@@ -1,5 +1,6 @@
 """One filter on the benchmark's world: runs steps, times their parts, checks what was matched."""
 
+from dataclasses import replace
 from time import process_time
 from typing import NamedTuple
 from unittest.mock import patch
@@ -7,7 +8,7 @@ from unittest.mock import patch
 import numpy as np
 
 from multi_robot_slam.filter import rbpf
-from multi_robot_slam.filter.settings import FilterSettings
+from multi_robot_slam.filter.settings import NO_REJUVENATION, FilterSettings
 from multi_robot_slam.models.frames import RobotFrame
 from multi_robot_slam.studies.workload import World
 
@@ -42,7 +43,9 @@ class Session:
     def __init__(
         self, landmarks: int, robots: int, particles: int, observations: int, proposal: str
     ):
-        self.settings = FilterSettings(particles=particles, resample_below=1.0, threads=1)
+        self.settings = FilterSettings(
+            particles=particles, resample_below=1.0, threads=1, rejuvenation=NO_REJUVENATION
+        )
         ring = 2 * landmarks + 1000
         self.world = World(ring, robots, self.settings.motion, observations, seed=0)
         self.state = rbpf.init(self.world.poses(), self.settings)
@@ -53,9 +56,7 @@ class Session:
         while len(self.world.seen) < landmarks:
             self.step()
         self._right.clear()
-        self.settings = FilterSettings(
-            particles=particles, resample_below=1.0, threads=1, proposal=proposal
-        )
+        self.settings = replace(self.settings, proposal=proposal)
 
     def survey(self, landmarks: int) -> None:
         """Drive fast until so many landmarks have been observed."""

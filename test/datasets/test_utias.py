@@ -9,7 +9,7 @@ from scipy.io import loadmat, savemat
 from msg_defs.types import CameraMount, ObservationSet
 from multi_robot_slam.datasets import utias
 from multi_robot_slam.filter import rbpf
-from multi_robot_slam.filter.settings import FilterSettings
+from multi_robot_slam.filter.settings import NO_REJUVENATION, FilterSettings
 from multi_robot_slam.models import stereo
 from multi_robot_slam.models.frames import RobotFrame
 from multi_robot_slam.models.motion import MotionSettings
@@ -104,7 +104,11 @@ def test_landmarks_of_a_real_stereo_camera_along_its_true_path(shared_data):
     """
     data = loadmat(shared_data / FOLDER / "starry_night_dataset.mat")
     settings = FilterSettings(
-        particles=1, gate=1e6, descriptor_gate=0.5, motion=MotionSettings(0.0, 0.0, 0.0, 0.0)
+        particles=1,
+        gate=1e6,
+        rejuvenation=NO_REJUVENATION,
+        descriptor_gate=0.5,
+        motion=MotionSettings(0.0, 0.0, 0.0, 0.0),
     )
     mount = CameraMount(forward_m=0.0, left_m=0.0, up_m=0.0)
     state, place = rbpf.init(np.zeros((1, 3)), settings), np.zeros(3)

@@ -12,7 +12,7 @@ from linear_world import LANDMARKS, SIGMA_MOVE, SIGMA_SEE, STEPS, world
 
 from msg_defs.types import ObservationSet
 from multi_robot_slam.filter import rbpf
-from multi_robot_slam.filter.settings import FilterSettings
+from multi_robot_slam.filter.settings import NO_REJUVENATION, FilterSettings
 from multi_robot_slam.models.motion import MotionSettings
 
 PARTICLES = 20_000
@@ -39,7 +39,12 @@ def filtered(moves, seen, proposal, seed):
     """Weighted mean and covariance of the same state, and the particles' effective number."""
     noise = MotionSettings(SIGMA_MOVE, SIGMA_MOVE, 0.0, 0.0)
     settings = FilterSettings(
-        particles=PARTICLES, gate=1e6, proposal=proposal, resample_below=0.5, motion=noise
+        particles=PARTICLES,
+        gate=1e6,
+        rejuvenation=NO_REJUVENATION,
+        proposal=proposal,
+        resample_below=0.5,
+        motion=noise,
     )
     rng = np.random.default_rng(seed)
     state = rbpf.init(np.zeros((1, 3)), settings, np.float64)

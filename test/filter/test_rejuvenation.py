@@ -10,7 +10,7 @@ import worlds
 
 from msg_defs.types import ObservationSet
 from multi_robot_slam.filter import rbpf, rejuvenation
-from multi_robot_slam.filter.settings import FilterSettings, RejuvenationSettings
+from multi_robot_slam.filter.settings import NO_REJUVENATION, FilterSettings, RejuvenationSettings
 from multi_robot_slam.models import stereo
 from multi_robot_slam.models.motion import MotionSettings
 
@@ -69,6 +69,7 @@ def test_in_a_linear_world_the_particles_are_the_exact_smoother_s(proposal):
         proposal=proposal,
         resample_below=1.0,
         motion=noise,
+        rejuvenation=NO_REJUVENATION,
     )
     moves, seen = linear.world(3)
     state = rbpf.init(np.zeros((1, 3)), settings, np.float64)

@@ -8,7 +8,7 @@ import pytest
 from msg_defs.types import CameraMount, ObservationSet, PoseSample, Sightings
 from multi_robot_slam.config import Config
 from multi_robot_slam.filter import rbpf, sightings
-from multi_robot_slam.filter.settings import FilterSettings
+from multi_robot_slam.filter.settings import NO_REJUVENATION, FilterSettings
 from multi_robot_slam.models.frames import BodySightings, RobotFrame
 from multi_robot_slam.models.motion import MotionSettings
 from multi_robot_slam.pipeline.pipeline import UNPLACED, Pipeline
@@ -93,7 +93,12 @@ def frames_of(t, moved, seen, looks):
 def test_posterior_is_the_kalman_filter_s(proposal):
     noise = MotionSettings(SIGMA_MOVE, SIGMA_MOVE, 0.0, 0.0)
     settings = FilterSettings(
-        particles=PARTICLES, gate=1e6, sighting_gate=1e6, proposal=proposal, motion=noise
+        particles=PARTICLES,
+        gate=1e6,
+        rejuvenation=NO_REJUVENATION,
+        sighting_gate=1e6,
+        proposal=proposal,
+        motion=noise,
     )
     rng = np.random.default_rng(3)
     state = rbpf.init(STARTS, settings, np.float64)

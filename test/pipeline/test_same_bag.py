@@ -15,6 +15,7 @@ from msg_defs import topics, wire
 from msg_defs.types import PoseSample
 from multi_robot_slam.bags.bag import BagReader, absolute
 from multi_robot_slam.filter import rbpf
+from multi_robot_slam.filter.settings import NO_REJUVENATION
 from multi_robot_slam.pipeline import offline
 from multi_robot_slam.pipeline.pipeline import Pipeline
 from sim_world.planar import between
@@ -22,7 +23,13 @@ from sim_world.scenario import Scenario
 
 SCENARIO = Scenario(robots=3, observations=8)
 STEPS = 12
-PAPER = {"proposal": "motion", "resample_below": 1.0, "exclusive": False, "particles": 6}
+PAPER = {
+    "proposal": "motion",
+    "resample_below": 1.0,
+    "exclusive": False,
+    "particles": 6,
+    "rejuvenation": NO_REJUVENATION,
+}
 
 
 def paired(events, names):
