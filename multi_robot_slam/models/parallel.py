@@ -9,8 +9,13 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache
 from itertools import pairwise
 
+from threadpoolctl import ThreadpoolController
+
 BLOCK = 256
 """Particles that kernels handle together."""
+
+one_thread = ThreadpoolController().wrap(limits=1, user_api="blas")
+"""Decorator: BLAS runs with one thread; the same bytes on any number of cores."""
 
 
 def over(kernel: Callable, size: int, grain: int, threads: int, *arguments) -> None:

@@ -17,8 +17,7 @@ import numpy as np
 from numba import njit
 
 from multi_robot_slam.models import parallel, stereo
-from multi_robot_slam.models.parallel import BLOCK
-from multi_robot_slam.smoothing.envelope import one_thread
+from multi_robot_slam.models.parallel import BLOCK, one_thread
 from multi_robot_slam.smoothing.kernels import inverse, inverses
 from multi_robot_slam.smoothing.problem import Problem
 from multi_robot_slam.smoothing.solve import Smoothed, landmark_leans

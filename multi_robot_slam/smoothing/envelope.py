@@ -18,15 +18,11 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
-from threadpoolctl import ThreadpoolController
 
 from multi_robot_slam.smoothing.problem import Problem
 
 TILE = 24
 """Unknowns of a tile: large enough for BLAS to be fast, small enough to follow the envelope."""
-
-one_thread = ThreadpoolController().wrap(limits=1, user_api="blas")
-"""BLAS with one thread: the same bytes on any number of cores, and no waiting for a busy one."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,8 +29,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from multi_robot_slam.models.motion import wrap
+from multi_robot_slam.models.parallel import one_thread
 from multi_robot_slam.smoothing import kernels
-from multi_robot_slam.smoothing.envelope import Envelope, Factor, factorise, one_thread
+from multi_robot_slam.smoothing.envelope import Envelope, Factor, factorise
 from multi_robot_slam.smoothing.hubs import cheapest_envelope
 from multi_robot_slam.smoothing.problem import Known, Problem
 
