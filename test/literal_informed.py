@@ -1,7 +1,8 @@
 """The informed proposal, one particle and one observation at a time, with dense matrices.
 
-The slow twin of `multi_robot_slam.filter.informed`; it shares Algorithm 1's landmarks and weights
-with `literal_algorithm1`, and like the fast one matches only landmarks older than the frame.
+The slow twin of `multi_robot_slam.filter.informed_kernels`; it shares Algorithm 1's landmarks and
+weights with `literal_algorithm1`, and like the fast one matches only landmarks older than the
+frame.
 """
 
 import literal_algorithm1 as literal

@@ -24,19 +24,19 @@ class Candidates(NamedTuple):
 
 
 def field_of_search(
-    poses: np.ndarray, v: np.ndarray, noise: np.ndarray, gate: float, doubt: np.ndarray
+    poses: np.ndarray, v: np.ndarray, noise: np.ndarray, gate: float, pose_margin: np.ndarray
 ) -> np.ndarray:
     """Box (x low, x high, y low, y high) outside of which no landmark can lie inside the gate.
 
     Parameters
     ----------
     poses : (3, M) of the robot; v, noise : (B, 3), (B, 6) in `base_link`.
-    doubt : (2,) how far a pose may still move [m] and turn [rad].
+    pose_margin : (2,) how far a pose may still move [m] and turn [rad].
     """
     yaw = poses[2].mean()
-    turn = np.abs(poses[2] - yaw).max() + doubt[1]
+    turn = np.abs(poses[2] - yaw).max() + pose_margin[1]
     distance = np.hypot(v[:, 0], v[:, 1])
-    margin = np.sqrt(gate * (noise[:, 0] + noise[:, 3])) + distance * turn + doubt[0]
+    margin = np.sqrt(gate * (noise[:, 0] + noise[:, 3])) + distance * turn + pose_margin[0]
     cos, sin = np.cos(yaw), np.sin(yaw)
     seen_x, seen_y = cos * v[:, 0] - sin * v[:, 1], sin * v[:, 0] + cos * v[:, 1]
     return np.array(

@@ -3,13 +3,17 @@
 Arithmetic runs in the dtype of the landmark planes (float32; float64 in tests). Particles are
 handled in blocks: what a loop keeps per particle sits in one small local array of fixed row length,
 so that it stays in the first-level cache and the compiler sees that rows do not overlap. The loops
-have no branch, a mask multiplies instead, and so become SIMD code. No rule of floating point is
+choose between values instead of branching, and so become SIMD code. No rule of floating point is
 relaxed: the same numbers come out however wide the SIMD registers are and whatever is inlined.
+
+What is not a number never enters a landmark: an update that yields one counts as outside the gate.
 """
 
-import numpy as np
-from numba import njit
+from typing import NamedTuple
 
+import numpy as np
+
+from multi_robot_slam.models.compiled import kernel
 from multi_robot_slam.models.parallel import BLOCK
 
 PLANES = 9
@@ -19,7 +23,10 @@ FAR = 1e9
 """Mean x of a landmark that a particle does not have: finite, and outside any gate [m]."""
 
 NO_LANDMARK = np.array([FAR, 0, 0, 1, 0, 0, 1, 0, 1])
-"""Planes of such a one."""
+"""Planes of a landmark that a particle does not have."""
+
+LANES = 32
+"""Elements of a row that are compared at once."""
 
 UNMATCHED = -1
 """Match of an observation that has found no landmark yet."""
@@ -27,29 +34,36 @@ UNMATCHED = -1
 TAKEN = -2
 """The same, while a landmark is tried that an earlier observation of the frame has claimed."""
 
-COS, SIN, X, Y, SQUARED, DETERMINANT = range(6)
+COS, SIN, X, Y, DISTANCE, DETERMINANT = range(6)
 """Rows of a block: pose of the robot, D (18) and |Z| (16) of the match."""
 
 MEAN_X, MEAN_Y, MEAN_Z, COV_XX, COV_XY, COV_XZ, COV_YY, COV_YZ, COV_ZZ = range(6, 15)
 """Further rows of a block: the planes of the landmark at hand."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+class Observed(NamedTuple):
+    """The observations of one frame, in `base_link`."""
+
+    v: np.ndarray
+    """(B, 3) [m]."""
+    noise: np.ndarray
+    """(B, 6): R of each [m^2]."""
+
+
+class Matches(NamedTuple):
+    """What each particle makes of each observation of a frame."""
+
+    columns: np.ndarray
+    """(B, M) int32: column of the landmark that is updated or created."""
+    mahalanobis_sq: np.ndarray
+    """(B, M): D (18) of the match; D_0 for a new landmark."""
+    determinants: np.ndarray
+    """(B, M): |Z| (16) of the match; |R| for a new landmark."""
+
+
+@kernel
 def associate_and_update(
-    first,
-    last,
-    planes,
-    starts,
-    columns,
-    new_columns,
-    poses,
-    v,
-    noise,
-    gate,
-    exclusive,
-    matches,
-    squared,
-    determinants,
+    first, last, planes, candidates, new_columns, poses, observed, gate, exclusive, matches
 ):
     """Algorithm 1, lines 15-38, for one robot's frame and particles first .. last - 1.
 
@@ -59,16 +73,17 @@ def associate_and_update(
     ----------
     first, last : multiples of BLOCK, or the number of particles.
     planes : (N, 9, M) landmarks, updated in place.
-    starts, columns : candidates of each observation, see `association.Candidates`.
+    candidates : `association.Candidates` of each observation.
     new_columns : (B,) column to create where no candidate lies inside the gate.
     poses : (4, M) cos yaw, sin yaw, x, y of the robot.
-    v, noise : (B, 3), (B, 6) observations and their covariance R in `base_link`.
+    observed : `Observed`.
     gate : D_0.
     exclusive : whether an observation may not claim what an earlier one of the frame has claimed.
-    matches : (B, M) int32, out: column that was updated or created.
-    squared : (B, M), out: D (18) of the match; D_0 for a new landmark.
-    determinants : (B, M), out: |Z| (16) of the match; |R| for a new landmark.
+    matches : `Matches`, out.
     """
+    v, noise = observed
+    starts, columns, _ = candidates
+    matched, mahalanobis_sq, determinants = matches
     local = np.zeros((15, BLOCK), planes.dtype)
     found = np.empty(BLOCK, np.int32)
     is_new = np.empty(len(v), np.bool_)
@@ -87,9 +102,7 @@ def associate_and_update(
                         continue
                     column = new_columns[-1 - column]
                 if exclusive:
-                    set_taken_aside(
-                        columns[i], column, starts, columns, b, matches, low, count, found
-                    )
+                    set_taken_aside(columns[i], column, candidates, b, matched, low, count, found)
                 fetch(planes[column], low, count, local)
                 update(UNMATCHED, column, local, found, count, v[b], noise[b], gate)
                 put(planes[column], low, count, local)
@@ -102,12 +115,12 @@ def associate_and_update(
             if is_new[b]:
                 create(planes[new_columns[b]], low, high, local, found, v[b], noise[b])
                 weigh_new(new_columns[b], local, found, count, noise[b], gate)
-            copy(found[:count], matches[b, low:high])
-            copy(local[SQUARED, :count], squared[b, low:high])
+            copy(found[:count], matched[b, low:high])
+            copy(local[DISTANCE, :count], mahalanobis_sq[b, low:high])
             copy(local[DETERMINANT, :count], determinants[b, low:high])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def count_equal(found, count, value):
     """How many of the first `count` matches are `value`."""
     total = 0
@@ -116,7 +129,7 @@ def count_equal(found, count, value):
     return total
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def replace(found, count, old, new):
     """Replace `old` by `new` among the first `count` matches."""
     for m in range(count):
@@ -124,41 +137,69 @@ def replace(found, count, old, new):
             found[m] = new
 
 
-@njit(cache=True, nogil=True)
-def set_taken_aside(candidate, column, starts, columns, b, matches, low, count, found):
+@kernel
+def set_taken_aside(candidate, column, candidates, b, matched, low, count, found):
     """Mark as TAKEN where an observation before `b` has claimed `column`.
 
     Only those come into question that have `candidate` on their list, or create it.
     """
+    starts, columns, _ = candidates
     for earlier in range(b):
         if candidate == -1 - earlier or candidate in columns[starts[earlier] : starts[earlier + 1]]:
             for m in range(count):
-                if found[m] == UNMATCHED and matches[earlier, low + m] == column:
+                if found[m] == UNMATCHED and matched[earlier, low + m] == column:
                     found[m] = TAKEN
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def copy(source, target):
     """Copy one row. A loop over whole rows is SIMD code, one with an offset or a slice is not."""
     for m in range(source.size):
         target[m] = source[m]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def fetch(landmark, low, count, local):
     """Copy a block of a landmark's planes (9, M) to `local`."""
     for k in range(PLANES):
         copy(landmark[k, low : low + count], local[MEAN_X + k])
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def put(landmark, low, count, local):
     """Copy a block of a landmark's planes back."""
     for k in range(PLANES):
         copy(local[MEAN_X + k, :count], landmark[k, low : low + count])
 
 
-@njit(inline="always", cache=True, nogil=True, error_model="numpy")
+@kernel(inline="always")
+def turned(noise, c, s):
+    """R_m = Rz R Rz^T (A1) of `noise` xx xy xz yy yz zz: xx xy xz yy yz; zz stays."""
+    cc, ss, cs = c * c, s * s, c * s
+    n_xx, n_xy, n_xz, n_yy, n_yz, _ = noise
+    r_xx = cc * n_xx - (cs + cs) * n_xy + ss * n_yy
+    r_xy = cs * (n_xx - n_yy) + (cc - ss) * n_xy
+    r_xz = c * n_xz - s * n_yz
+    r_yy = ss * n_xx + (cs + cs) * n_xy + cc * n_yy
+    r_yz = s * n_xz + c * n_yz
+    return r_xx, r_xy, r_xz, r_yy, r_yz
+
+
+@kernel(inline="always")
+def inverted(one, z_xx, z_xy, z_xz, z_yy, z_yz, z_zz):
+    """Inverse xx xy xz yy yz zz of a symmetric matrix by its cofactors, and its determinant."""
+    i_xx = z_yy * z_zz - z_yz * z_yz
+    i_xy = z_xz * z_yz - z_xy * z_zz
+    i_xz = z_xy * z_yz - z_xz * z_yy
+    det = z_xx * i_xx + z_xy * i_xy + z_xz * i_xz
+    scale = one / det
+    i_yy = (z_xx * z_zz - z_xz * z_xz) * scale
+    i_yz = (z_xy * z_xz - z_xx * z_yz) * scale
+    i_zz = (z_xx * z_yy - z_xy * z_xy) * scale
+    return i_xx * scale, i_xy * scale, i_xz * scale, i_yy, i_yz, i_zz, det
+
+
+@kernel(inline="always")
 def update(wanted, column, local, found, count, v, noise, gate):
     """Update the landmark at hand where the match is `wanted` and the gate lets it through.
 
@@ -173,15 +214,11 @@ def update(wanted, column, local, found, count, v, noise, gate):
     number = local.dtype.type
     one = number(1)
     index = np.int32(column)
-    n_xx, n_xy, n_xz, n_yy, n_yz, r_zz = noise[0], noise[1], noise[2], noise[3], noise[4], noise[5]
+    elements = noise[0], noise[1], noise[2], noise[3], noise[4], noise[5]
+    r_zz = noise[5]
     for m in range(count):
         c, s = local[COS, m], local[SIN, m]
-        cc, ss, cs = c * c, s * s, c * s
-        r_xx = cc * n_xx - (cs + cs) * n_xy + ss * n_yy
-        r_xy = cs * (n_xx - n_yy) + (cc - ss) * n_xy
-        r_xz = c * n_xz - s * n_yz
-        r_yy = ss * n_xx + (cs + cs) * n_xy + cc * n_yy
-        r_yz = s * n_xz + c * n_yz
+        r_xx, r_xy, r_xz, r_yy, r_yz = turned(elements, c, s)
 
         x, y, z = local[MEAN_X, m], local[MEAN_Y, m], local[MEAN_Z, m]
         nu_x = local[X, m] + c * v[0] - s * v[1] - x  # (8), (12)
@@ -192,24 +229,14 @@ def update(wanted, column, local, found, count, v, noise, gate):
         z_xx, z_xy, z_xz = p_xx + r_xx, p_xy + r_xy, p_xz + r_xz  # (10)
         z_yy, z_yz, z_zz = p_yy + r_yy, p_yz + r_yz, p_zz + r_zz
 
-        i_xx = z_yy * z_zz - z_yz * z_yz
-        i_xy = z_xz * z_yz - z_xy * z_zz
-        i_xz = z_xy * z_yz - z_xz * z_yy
-        det = z_xx * i_xx + z_xy * i_xy + z_xz * i_xz
-        scale = one / det
-        i_xx, i_xy, i_xz = i_xx * scale, i_xy * scale, i_xz * scale
-        i_yy = (z_xx * z_zz - z_xz * z_xz) * scale
-        i_yz = (z_xy * z_xz - z_xx * z_yz) * scale
-        i_zz = (z_xx * z_yy - z_xy * z_xy) * scale
+        i_xx, i_xy, i_xz, i_yy, i_yz, i_zz, det = inverted(one, z_xx, z_xy, z_xz, z_yy, z_yz, z_zz)
 
         w_x = i_xx * nu_x + i_xy * nu_y + i_xz * nu_z
         w_y = i_xy * nu_x + i_yy * nu_y + i_yz * nu_z
         w_z = i_xz * nu_x + i_yz * nu_y + i_zz * nu_z
         distance = nu_x * w_x + nu_y * w_y + nu_z * w_z  # (18)
         match = found[m]
-        hit = np.int32(distance <= gate) * np.int32(match == wanted)
-        keep = number(hit)
-        rest = one - keep
+        hit = (distance <= gate) & (distance > -one) & (det > 0) & (match == wanted)
 
         k_xx = p_xx * i_xx + p_xy * i_xy + p_xz * i_xz  # (11)
         k_xy = p_xx * i_xy + p_xy * i_yy + p_xz * i_yz
@@ -221,21 +248,30 @@ def update(wanted, column, local, found, count, v, noise, gate):
         k_zy = p_xz * i_xy + p_yz * i_yy + p_zz * i_yz
         k_zz = p_xz * i_xz + p_yz * i_yz + p_zz * i_zz
 
-        local[MEAN_X, m] = x + keep * (p_xx * w_x + p_xy * w_y + p_xz * w_z)  # (12)
-        local[MEAN_Y, m] = y + keep * (p_xy * w_x + p_yy * w_y + p_yz * w_z)
-        local[MEAN_Z, m] = z + keep * (p_xz * w_x + p_yz * w_y + p_zz * w_z)
-        local[COV_XX, m] = rest * p_xx + keep * (k_xx * r_xx + k_xy * r_xy + k_xz * r_xz)  # (13)
-        local[COV_XY, m] = rest * p_xy + keep * (k_xx * r_xy + k_xy * r_yy + k_xz * r_yz)
-        local[COV_XZ, m] = rest * p_xz + keep * (k_xx * r_xz + k_xy * r_yz + k_xz * r_zz)
-        local[COV_YY, m] = rest * p_yy + keep * (k_yx * r_xy + k_yy * r_yy + k_yz * r_yz)
-        local[COV_YZ, m] = rest * p_yz + keep * (k_yx * r_xz + k_yy * r_yz + k_yz * r_zz)
-        local[COV_ZZ, m] = rest * p_zz + keep * (k_zx * r_xz + k_zy * r_yz + k_zz * r_zz)
-        local[SQUARED, m] = rest * local[SQUARED, m] + keep * distance
-        local[DETERMINANT, m] = rest * local[DETERMINANT, m] + keep * det
-        found[m] = match + hit * (index - match)
+        x_new = x + (p_xx * w_x + p_xy * w_y + p_xz * w_z)  # (12)
+        y_new = y + (p_xy * w_x + p_yy * w_y + p_yz * w_z)
+        z_new = z + (p_xz * w_x + p_yz * w_y + p_zz * w_z)
+        local[MEAN_X, m] = x_new if hit else x
+        local[MEAN_Y, m] = y_new if hit else y
+        local[MEAN_Z, m] = z_new if hit else z
+        xx_new = k_xx * r_xx + k_xy * r_xy + k_xz * r_xz  # (13)
+        xy_new = k_xx * r_xy + k_xy * r_yy + k_xz * r_yz
+        xz_new = k_xx * r_xz + k_xy * r_yz + k_xz * r_zz
+        yy_new = k_yx * r_xy + k_yy * r_yy + k_yz * r_yz
+        yz_new = k_yx * r_xz + k_yy * r_yz + k_yz * r_zz
+        zz_new = k_zx * r_xz + k_zy * r_yz + k_zz * r_zz
+        local[COV_XX, m] = xx_new if hit else p_xx
+        local[COV_XY, m] = xy_new if hit else p_xy
+        local[COV_XZ, m] = xz_new if hit else p_xz
+        local[COV_YY, m] = yy_new if hit else p_yy
+        local[COV_YZ, m] = yz_new if hit else p_yz
+        local[COV_ZZ, m] = zz_new if hit else p_zz
+        local[DISTANCE, m] = distance if hit else local[DISTANCE, m]
+        local[DETERMINANT, m] = det if hit else local[DETERMINANT, m]
+        found[m] = index if hit else match
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def create(landmark, low, high, local, found, v, noise):
     """Create a landmark in the particles without a match: Algorithm 1, lines 30 and 31.
 
@@ -245,42 +281,38 @@ def create(landmark, low, high, local, found, v, noise):
     cov_xx, cov_xy, cov_xz = landmark[3, low:high], landmark[4, low:high], landmark[5, low:high]
     cov_yy, cov_yz, cov_zz = landmark[6, low:high], landmark[7, low:high], landmark[8, low:high]
     number = local.dtype.type
-    n_xx, n_xy, n_xz, n_yy, n_yz, r_zz = noise[0], noise[1], noise[2], noise[3], noise[4], noise[5]
+    elements = noise[0], noise[1], noise[2], noise[3], noise[4], noise[5]
     for m in range(mean_x.size):
         c, s = local[COS, m], local[SIN, m]
-        cc, ss, cs = c * c, s * s, c * s
+        r_xx, r_xy, r_xz, r_yy, r_yz = turned(elements, c, s)  # (G^T R^-1 G)^-1
         away = number(np.int32(found[m] != UNMATCHED)) * number(FAR)
         mean_x[m] = local[X, m] + c * v[0] - s * v[1] + away  # g^-1(x, v)
         mean_y[m] = local[Y, m] + s * v[0] + c * v[1]
         mean_z[m] = v[2]
-        cov_xx[m] = cc * n_xx - (cs + cs) * n_xy + ss * n_yy  # (G^T R^-1 G)^-1
-        cov_xy[m] = cs * (n_xx - n_yy) + (cc - ss) * n_xy
-        cov_xz[m] = c * n_xz - s * n_yz
-        cov_yy[m] = ss * n_xx + (cs + cs) * n_xy + cc * n_yy
-        cov_yz[m] = s * n_xz + c * n_yz
-        cov_zz[m] = r_zz
+        cov_xx[m], cov_xy[m], cov_xz[m] = r_xx, r_xy, r_xz
+        cov_yy[m], cov_yz[m], cov_zz[m] = r_yy, r_yz, elements[5]
 
 
-@njit(cache=True, nogil=True)
-def complete_new(planes, new_columns, matches):
+@kernel
+def complete_new(planes, new_columns, matched):
     """Count the particles (B,) int32 that created each column; take it from all other blocks."""
     particles = planes.shape[2]
     created = np.zeros(new_columns.size, np.int32)
     for b in range(new_columns.size):
         column = new_columns[b]
-        created[b] = count_equal(matches[b], particles, column)
+        created[b] = count_equal(matched[b], particles, column)
         if created[b] == 0:
             continue
         landmark = planes[column]
         for low in range(0, particles, BLOCK):
             high = min(low + BLOCK, particles)
-            if count_equal(matches[b, low:high], high - low, column) == 0:
+            if count_equal(matched[b, low:high], high - low, column) == 0:
                 for k in range(PLANES):
                     landmark[k, low:high] = NO_LANDMARK[k]
     return created
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def weigh_new(column, local, found, count, noise, gate):
     """Match the particles without a match to the new `column`; p_0 is the density on the gate."""
     det = (
@@ -291,22 +323,22 @@ def weigh_new(column, local, found, count, noise, gate):
     for m in range(count):
         if found[m] == UNMATCHED:
             found[m] = column
-            local[SQUARED, m] = gate
+            local[DISTANCE, m] = gate
             local[DETERMINANT, m] = det
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def log_likelihood(squared, determinants):
+@kernel
+def log_likelihood(mahalanobis_sq, determinants):
     """Sum over B observations of the logarithm of (16), up to its constant: (M,) float64.
 
     Determinants are multiplied in float64 and their logarithm taken every eighth observation.
     """
-    count, particles = squared.shape
+    count, particles = mahalanobis_sq.shape
     total = np.zeros(particles)
     product = np.ones(particles)
     for b in range(count):
         for m in range(particles):
-            total[m] -= 0.5 * squared[b, m]
+            total[m] -= 0.5 * mahalanobis_sq[b, m]
             product[m] *= determinants[b, m]
         if b % 8 == 7 or b == count - 1:
             for m in range(particles):
@@ -315,7 +347,17 @@ def log_likelihood(squared, determinants):
     return total
 
 
-@njit(cache=True, nogil=True)
+@kernel
+def all_within(values, limit):
+    """Whether all of `values` (n, M), float64, are numbers of size up to `limit`."""
+    lost = np.int32(0)
+    for row in range(values.shape[0]):
+        for m in range(values.shape[1]):
+            lost += np.int32(not abs(values[row, m]) <= limit)
+    return lost == 0
+
+
+@kernel
 def gather(first, last, planes, columns, rows, generations):
     """Bring columns[first:last] up to date.
 
@@ -332,7 +374,7 @@ def gather(first, last, planes, columns, rows, generations):
             copy(gathered, plane)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def compose(rows, used, ancestors):
     """Let rows[g, m] of every generation g in `used` follow particle m to its ancestor, in place.
 
@@ -348,7 +390,7 @@ def compose(rows, used, ancestors):
         copy(composed, row)
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def count_owners(planes, columns, rows, generations):
     """How many of today's particles have each landmark: (C,) int64."""
     owners = np.zeros(columns.size, np.int64)
@@ -363,7 +405,7 @@ def count_owners(planes, columns, rows, generations):
     return owners
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@kernel
 def bound(planes, columns, reach, boxes):
     """Where an innovation of zero noise may lie in the gate: boxes[columns], for all particles.
 
@@ -372,21 +414,28 @@ def bound(planes, columns, reach, boxes):
     `reach` = sqrt(D_0). A landmark that some particle does not have has a box without end.
     """
     for column in columns:
-        mean_x, mean_y = planes[column, 0], planes[column, 1]
-        cov_xx, cov_yy = planes[column, 3], planes[column, 6]
-        x_low = x_high = mean_x[0]
-        y_low = y_high = mean_y[0]
-        xx, yy = cov_xx[0], cov_yy[0]
-        for m in range(mean_x.size):
-            x, y, p_xx, p_yy = mean_x[m], mean_y[m], cov_xx[m], cov_yy[m]
-            x_low = x if x < x_low else x_low
-            x_high = x if x > x_high else x_high
-            y_low = y if y < y_low else y_low
-            y_high = y if y > y_high else y_high
-            xx = p_xx if p_xx > xx else xx
-            yy = p_yy if p_yy > yy else yy
+        x_low, x_high = extremes(planes[column, 0])
+        y_low, y_high = extremes(planes[column, 1])
+        _, xx = extremes(planes[column, 3])
+        _, yy = extremes(planes[column, 6])
         x_margin, y_margin = reach * np.sqrt(xx), reach * np.sqrt(yy)
         boxes[column, 0], boxes[column, 1] = x_low - x_margin, x_high + x_margin
         boxes[column, 2], boxes[column, 3] = y_low - y_margin, y_high + y_margin
         if x_high > 0.5 * FAR:
             boxes[column] = np.array([-1.0, 1.0, -1.0, 1.0]) * FAR
+
+
+@kernel
+def extremes(row):
+    """Least and greatest element of a row, lane by lane, which is SIMD code."""
+    low, high = np.full(LANES, row[0]), np.full(LANES, row[0])
+    whole = row.size // LANES * LANES
+    for first in range(0, whole, LANES):
+        for lane in range(LANES):
+            element = row[first + lane]
+            low[lane] = element if element < low[lane] else low[lane]
+            high[lane] = element if element > high[lane] else high[lane]
+    for m in range(whole, row.size):
+        low[0] = min(low[0], row[m])
+        high[0] = max(high[0], row[m])
+    return low.min(), high.max()

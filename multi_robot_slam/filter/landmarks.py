@@ -34,7 +34,7 @@ class Landmarks:
     def __init__(self, particles: int, dtype: type = np.float32, capacity: int | None = None):
         if capacity is None:
             capacity = int(np.clip(ROOM / (kernels.PLANES * 4 * particles), 16, 1024))
-        self.planes = np.empty((capacity, kernels.PLANES, particles), dtype)
+        self.planes: np.ndarray = np.empty((capacity, kernels.PLANES, particles), dtype)
         self.descriptors = np.empty((capacity, DESCRIPTOR_SIZE), np.float32)
         self.boxes = np.empty((capacity, 4))
         self.ids = np.full(capacity, FREE, np.int32)
@@ -44,9 +44,10 @@ class Landmarks:
         self._generations = np.zeros(capacity, np.int32)
         self._rows = np.arange(particles, dtype=np.int32)[None].copy()
         self._current = 0
+        self._reserved = np.empty(0, int)
 
     def reserve(self, wanted: int) -> np.ndarray:
-        """Columns (B,) for landmarks that `wanted` observations may create; then call `settle`."""
+        """Columns (B,) for landmarks that `wanted` observations may create; then call `commit`."""
         free = np.flatnonzero(self.ids[: self.top] == FREE)[:wanted]
         fresh = np.arange(self.top, self.top + wanted - len(free))
         self.top += len(fresh)
@@ -55,14 +56,21 @@ class Landmarks:
         columns = np.concatenate([free, fresh])
         self.ids[columns] = self._next_id + np.arange(wanted)
         self._next_id += wanted
+        self._reserved = columns
         self._generations[columns] = self._current
         return columns
 
-    def settle(self, columns: np.ndarray, created: np.ndarray, descriptors: np.ndarray) -> None:
+    def commit(self, columns: np.ndarray, created: np.ndarray, descriptors: np.ndarray) -> None:
         """Keep the reserved columns that were `created` (B,) in some particle; free the others."""
         self.descriptors[columns] = descriptors
         self._partial[columns] = created < self.planes.shape[2]
         self._release(columns[created == 0])
+        self._reserved = columns[:0]
+
+    def release_reserved(self) -> None:
+        """Free the columns that were reserved and not committed."""
+        self._release(self._reserved)
+        self._reserved = self._reserved[:0]
 
     def near(self, box: np.ndarray) -> np.ndarray:
         """Columns whose box meets `box` (4,), ascending; no other can lie inside the gate."""
@@ -114,8 +122,8 @@ class Landmarks:
         self.bring_up_to_date(alive, threads)
         held = self.columns_of(ids)
         gone = np.setdiff1d(alive, held, assume_unique=True)
-        self.planes[np.ix_(gone, range(kernels.PLANES), members)] = kernels.NO_LANDMARK[:, None]
-        self.planes[np.ix_(held, range(kernels.PLANES), members)] = planes
+        self.planes[np.ix_(gone, np.arange(kernels.PLANES), members)] = kernels.NO_LANDMARK[:, None]
+        self.planes[np.ix_(held, np.arange(kernels.PLANES), members)] = planes
         self._release_unowned(alive)
 
     def of_particle(self, particle: int) -> tuple[np.ndarray, np.ndarray]:

@@ -94,7 +94,7 @@ def rejuvenate(state: State, settings: FilterSettings, rng: np.random.Generator)
     shared = [g for g in groups if len(g) >= settings.rejuvenation.share * len(weights)]
     alike = _alike(state, settings.descriptor_gate)
     drawn = [_draw(state, group, alike, settings, rng) for group in shared]
-    state.history.rewrite([group.past for group in drawn], state.settled.count)
+    state.history.rewrite([group.past for group in drawn], state.settled.records)
     for group in drawn:
         _go_on(state, group, settings)
     if drawn:
@@ -199,7 +199,7 @@ def tempered(log_weights: np.ndarray) -> np.ndarray:
 
 def _past(state: State, members: np.ndarray) -> tuple[list[Record], np.ndarray, list[np.ndarray]]:
     """Records not settled, the mean of the members' paths (P, 3), their common identities."""
-    count = len(state.history.records) - state.settled.count
+    count = len(state.history.records) - state.settled.records
     lineage = list(islice(state.history.lineage(members), count))[::-1]
     records = [record for record, _ in lineage]
     poses = np.array([record.poses[:, rows].mean(axis=1) for record, rows in lineage])
@@ -257,13 +257,13 @@ def _go_on(state: State, drawn: Drawn, settings: FilterSettings) -> None:
 def _settle(state: State, drawn: Drawn, window: int) -> None:
     """Let the poses before the window settle at the optimum of the largest group: whole steps."""
     settled, records = state.settled, state.history.records
-    first = max(len(records) - window, settled.count)
-    while settled.count < first and records[first].step == records[first - 1].step:
+    first = max(len(records) - window, settled.records)
+    while settled.records < first and records[first].step == records[first - 1].step:
         first -= 1
-    for record in records[: settled.count]:
+    for record in records[: settled.records]:
         record.matches = drawn.heirs.of(record.matches)
-    count = first - settled.count
-    motions = np.array([record.motion for record in records[settled.count :]])
+    count = first - settled.records
+    motions = np.array([record.motion for record in records[settled.records :]])
     share = count / len(motions)
     state.scales = learn(state.scales, drawn.problem, drawn.smoothed, motions, share)
     start_poses, known = solve.settle(drawn.problem, drawn.smoothed, count)

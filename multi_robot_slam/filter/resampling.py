@@ -1,7 +1,8 @@
 """From weights to ancestors."""
 
 import numpy as np
-from numba import njit
+
+from multi_robot_slam.models.compiled import kernel
 
 
 def normalise(log_weights: np.ndarray) -> np.ndarray:
@@ -15,8 +16,8 @@ def effective_sample_size(weights: np.ndarray) -> float:
     return float(1.0 / np.square(weights).sum())
 
 
-@njit(cache=True, nogil=True)
-def systematic(weights, uniform):
+@kernel
+def systematic(weights: np.ndarray, uniform: float) -> np.ndarray:
     """Systematic resampling: ancestors (M,) int32, ascending, for one `uniform` in [0, 1).
 
     Particle m gets floor or ceil of M * weights[m] copies. `weights` need not sum to one exactly;

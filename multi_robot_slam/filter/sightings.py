@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multi_robot_slam.models.frames import NOBODY, BodySightings
+from multi_robot_slam.models.frames import NOBODY, BodySightings, RobotFrame
 
 SMALLEST_VARIANCE = 1e-18
 """Added where a covariance is inverted: a robot that stood still has none."""
@@ -28,7 +28,7 @@ class Sighted(NamedTuple):
     """What one robot's sightings at one instant were worth to each particle."""
 
     seen: BodySightings
-    squared: np.ndarray
+    mahalanobis_sq: np.ndarray
     """(S, M): squared Mahalanobis distance of each."""
     log_factor: np.ndarray
     """(M,): logarithm of their factor of the weight, up to a constant."""
@@ -67,7 +67,8 @@ class JointBelief:
         ]
         if not worth:
             return Sighted.nothing(self.mean.shape[1])
-        return Sighted(seen, np.array([w[0] for w in worth]), sum(w[1] for w in worth))
+        squared, factors = map(np.array, zip(*worth, strict=True))
+        return Sighted(seen, squared, factors.sum(axis=0))
 
     def _see(
         self, i: int, j: int, position: np.ndarray, noise: np.ndarray, gate: float
@@ -123,3 +124,25 @@ def _inverted(matrices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     (a, b), (_, d) = matrices
     determinant = a * d - b * b
     return np.array([[d, -b], [-b, a]]) / determinant, determinant
+
+
+def see_all(
+    frames: list[RobotFrame], poses: np.ndarray, priors: np.ndarray, gate: float
+) -> tuple[JointBelief | None, list[Sighted]]:
+    """The joint belief of the robots of F `frames` after all they saw of each other.
+
+    Parameters
+    ----------
+    poses : (K, 3, M) of the whole team; priors : (F, 6, M) covariance of each frame's robot.
+
+    Returns
+    -------
+    The belief, None where nobody saw anybody, and what each frame's sightings were worth.
+    `ValueError` when a robot sees one that has no frame among these.
+
+    """
+    if not any(len(frame.sightings.others) for frame in frames):
+        return None, [Sighted.nothing(poses.shape[2])] * len(frames)
+    robots = [frame.robot for frame in frames]
+    joint = JointBelief(robots, poses[robots], priors.astype(float))
+    return joint, [joint.see(frame.robot, frame.sightings, gate) for frame in frames]

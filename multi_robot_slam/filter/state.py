@@ -14,7 +14,7 @@ from multi_robot_slam.smoothing.problem import Known
 class Settled(NamedTuple):
     """The oldest part of the history, which rejuvenation leaves as it is."""
 
-    count: int
+    records: int
     """Records of the history that it has."""
     start_poses: np.ndarray
     """(K, 3) float64: x, y [m], yaw [rad] of each robot at its end, in `map`."""

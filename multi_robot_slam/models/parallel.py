@@ -6,19 +6,42 @@ others are shared out.
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
-from functools import cache
+from functools import cache, wraps
 from itertools import pairwise
+from typing import Any, ParamSpec, TypeVar
 
 from threadpoolctl import ThreadpoolController
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 BLOCK = 256
 """Particles that kernels handle together."""
 
-one_thread = ThreadpoolController().wrap(limits=1, user_api="blas")
-"""Decorator: BLAS runs with one thread; the same bytes on any number of cores."""
+
+def one_thread(function: Callable[P, R]) -> Callable[P, R]:
+    """Decorator: BLAS runs with one thread; the same bytes on any number of cores.
+
+    Nor does anything wait for a core that is busy. Costs nothing where there is one thread anyway.
+    """
+
+    @wraps(function)
+    def limited(*args: P.args, **kwargs: P.kwargs) -> R:
+        if all(library.num_threads == 1 for library in _blas().lib_controllers):
+            return function(*args, **kwargs)
+        with _blas().limit(limits=1):
+            return function(*args, **kwargs)
+
+    return limited
 
 
-def over(kernel: Callable, size: int, grain: int, threads: int, *arguments) -> None:
+@cache
+def _blas() -> ThreadpoolController:
+    """The BLAS libraries of NumPy and SciPy, both of which are loaded when this is called first."""
+    return ThreadpoolController().select(user_api="blas")
+
+
+def over(kernel: Callable, size: int, grain: int, threads: int, *arguments: Any) -> None:
     """Call kernel(first, last, *arguments) once a thread, for parts that begin at whole grains."""
     grains = -(-size // grain)
     threads = min(threads, grains)
@@ -36,7 +59,7 @@ def over(kernel: Callable, size: int, grain: int, threads: int, *arguments) -> N
         task.result()
 
 
-def over_particles(kernel: Callable, particles: int, threads: int, *arguments) -> None:
+def over_particles(kernel: Callable, particles: int, threads: int, *arguments: Any) -> None:
     """Call kernel(first, last, *arguments) for parts of the particles, blocks kept whole."""
     over(kernel, particles, BLOCK, threads, *arguments)
 

@@ -29,6 +29,7 @@ from msg_defs.types import (
 )
 from multi_robot_slam.config import Config
 from multi_robot_slam.filter import rbpf, resampling
+from multi_robot_slam.filter.matching import FrameInfo
 from multi_robot_slam.models.frames import Record, RobotFrame
 from multi_robot_slam.models.motion import increment, wrap
 
@@ -376,18 +377,16 @@ def _only(sightings: Sightings | None, robots: Collection[int]) -> Sightings | N
     )
 
 
-def _frame_record(
-    robot: str, info: rbpf.FrameInfo, particle: int, sighting_gate: float
-) -> FrameRecord:
+def _frame_record(robot: str, info: FrameInfo, particle: int, sighting_gate: float) -> FrameRecord:
     matches = info.matches[:, particle]
-    sighted = info.sighted.squared[:, particle]
+    sighted = info.sighted.mahalanobis_sq[:, particle]
     is_new = matches == info.new_ids
     return FrameRecord(
         robot=robot,
         landmarks=matches.astype(np.int64),
         is_new=is_new,
         is_rejected=is_new & (np.diff(info.candidates.starts) > 0),
-        mahalanobis=np.where(is_new, np.nan, info.squared[:, particle]).astype(np.float32),
+        mahalanobis=np.where(is_new, np.nan, info.mahalanobis_sq[:, particle]).astype(np.float32),
         descriptor_distance=np.where(is_new, np.nan, info.descriptor_distances(matches)),
         others=info.sighted.seen.others,
         other_mahalanobis=sighted.astype(np.float32),

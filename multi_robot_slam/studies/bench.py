@@ -20,7 +20,7 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from multi_robot_slam.filter import informed, kernels
+from multi_robot_slam.filter import informed_kernels, kernels
 from multi_robot_slam.filter.history import PRUNE_EVERY
 from multi_robot_slam.studies import machine, rivals
 from multi_robot_slam.studies.session import Clock, Session, take_turns
@@ -63,7 +63,7 @@ BYTES = {
 GATHER_BYTES = 2 * kernels.PLANES * WORD
 """The same for the lazy copy after resampling: planes read and written."""
 
-KERNELS = {"motion": (kernels.update,), "informed": (informed.believe, kernels.update)}
+KERNELS = {"motion": (kernels.update,), "informed": (informed_kernels.believe, kernels.update)}
 """Loops that every particle-observation goes through; their operations are counted."""
 
 BARE_IMPORT = "import numpy, numba"

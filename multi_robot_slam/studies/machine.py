@@ -4,7 +4,7 @@ import ast
 import inspect
 import textwrap
 from time import process_time
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -65,19 +65,29 @@ def multiply_add(values, a, repeats):
             values[i] = x * a + a
 
 
-def operations(kernel) -> int:
-    """Additions, multiplications and divisions in the loops of a compiled function's source."""
-    source = textwrap.dedent(inspect.getsource(kernel.py_func))
-    loops = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.For)]
-    return sum(_arithmetic(statement) for loop in loops for statement in loop.body)
+def operations(kernel: Any) -> int:
+    """Additions, multiplications and divisions in the loops of a compiled function's source.
+
+    Those of compiled functions that are called there, and have no loop themselves, count too.
+    """
+    loops = [node for node in ast.walk(_tree(kernel)) if isinstance(node, ast.For)]
+    known = kernel.py_func.__globals__
+    return sum(_arithmetic(statement, known) for loop in loops for statement in loop.body)
 
 
-def _arithmetic(node: ast.AST) -> int:
+def _tree(kernel: Any) -> ast.AST:
+    return ast.parse(textwrap.dedent(inspect.getsource(kernel.py_func)))
+
+
+def _arithmetic(node: ast.AST, known: dict[str, Any]) -> int:
     if isinstance(node, ast.Subscript | ast.For):  # indices, and loops counted on their own
         return 0
-    return isinstance(node, ast.BinOp | ast.AugAssign) + sum(
-        _arithmetic(child) for child in ast.iter_child_nodes(node)
-    )
+    own = int(isinstance(node, ast.BinOp | ast.AugAssign))
+    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+        callee = known.get(node.func.id)
+        if hasattr(callee, "py_func"):
+            own += _arithmetic(_tree(callee), callee.py_func.__globals__)
+    return own + sum(_arithmetic(child, known) for child in ast.iter_child_nodes(node))
 
 
 def _fastest(run, passes: int) -> float:

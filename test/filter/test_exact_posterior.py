@@ -11,7 +11,7 @@ import pytest
 from linear_world import LANDMARKS, SIGMA_MOVE, SIGMA_SEE, STEPS, world
 
 from msg_defs.types import ObservationSet
-from multi_robot_slam.filter import rbpf
+from multi_robot_slam.filter import rbpf, resampling
 from multi_robot_slam.filter.settings import NO_REJUVENATION, FilterSettings
 from multi_robot_slam.models.motion import MotionSettings
 
@@ -58,7 +58,7 @@ def filtered(moves, seen, proposal, seed):
     landmarks = state.landmarks
     landmarks.bring_up_to_date(landmarks.alive())
     planes = landmarks.planes[landmarks.alive()]
-    weights = rbpf.resampling.normalise(state.log_weights)
+    weights = resampling.normalise(state.log_weights)
     places = np.concatenate([state.poses[0, :2], planes[:, :3].reshape(-1, PARTICLES)])
     mean = places @ weights
     covariance = (places - mean[:, None]) * weights @ (places - mean[:, None]).T

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 import worlds
 
-from multi_robot_slam.filter import informed, rbpf
+from multi_robot_slam.filter import informed_kernels, rbpf
+from multi_robot_slam.filter.association import Candidates
+from multi_robot_slam.filter.kernels import Matches, Observed
 from multi_robot_slam.models import stereo
 
 
@@ -52,16 +54,17 @@ def believe(landmarks, sigma, spread, v, R):
     count = len(landmarks)
     planes = np.concatenate([landmarks, sigma], axis=1)[:, :, None].copy()
     beliefs = np.empty((9, 1))
-    matches, D, S = np.empty((count, 1), np.int32), np.empty((count, 1)), np.empty((count, 1))
-    starts, columns = np.arange(count + 1, dtype=np.int32), np.arange(count, dtype=np.int32)
+    matches = Matches(np.empty((count, 1), np.int32), np.empty((count, 1)), np.empty((count, 1)))
+    columns = np.arange(count, dtype=np.int32)
+    each = Candidates(np.arange(count + 1, dtype=np.int32), columns, np.zeros(count, np.float32))
     poses = np.array([[1.0], [0.0], [0.0], [0.0]])
     prior = np.empty((6, 1))
-    informed.spread_in_map(poses, spread, prior)
-    informed.associate_and_believe(
-        0, 1, planes, starts, columns, poses, prior, v, R, 1e9, False, beliefs, matches, D, S
+    informed_kernels.spread_in_map(poses, spread, prior)
+    informed_kernels.associate_and_believe(
+        0, 1, planes, each, poses, prior, Observed(v, R), 1e9, False, beliefs, matches
     )
-    assert matches[:, 0].tolist() == columns.tolist()
-    return beliefs[:, 0], D[:, 0], S[:, 0]
+    assert matches.columns[:, 0].tolist() == columns.tolist()
+    return beliefs[:, 0], matches.mahalanobis_sq[:, 0], matches.determinants[:, 0]
 
 
 def test_belief_is_the_exact_posterior_of_a_linear_world():
@@ -109,12 +112,12 @@ def test_draws_have_the_belief_s_mean_and_covariance():
     belief = np.concatenate([[1.0, -2.0, 0.5], covariance[[0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]])
     poses = np.zeros((3, 200_000))
     beliefs = np.repeat(belief[:, None], 200_000, axis=1)
-    informed.draw(poses, beliefs, rng.standard_normal(poses.shape))
+    informed_kernels.draw(poses, beliefs, rng.standard_normal(poses.shape))
     np.testing.assert_allclose(poses.mean(1), belief[:3], atol=0.02)
     np.testing.assert_allclose(np.cov(poses), covariance, atol=0.05)
 
 
 def test_a_robot_that_cannot_have_moved_stays():
     poses = np.array([[3.0], [2.0], [1.0]])
-    informed.draw(poses, np.zeros((9, 1)), np.ones((3, 1)))
+    informed_kernels.draw(poses, np.zeros((9, 1)), np.ones((3, 1)))
     assert poses[:, 0].tolist() == [3.0, 2.0, 1.0]

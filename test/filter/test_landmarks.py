@@ -27,7 +27,7 @@ def create(lazy, eager, owners, rng):
     lazy.planes[column] = values
     lazy.planes[column, 0, ~owners] = kernels.FAR
     landmark = int(lazy.ids[column])
-    lazy.settle(np.array([column]), np.array([owners.sum()]), np.ones((1, 128), np.float32))
+    lazy.commit(np.array([column]), np.array([owners.sum()]), np.ones((1, 128), np.float32))
     for m in np.flatnonzero(owners):
         eager.maps[m][landmark] = values[:, m]
 
@@ -90,7 +90,7 @@ def test_a_column_lives_exactly_as_long_as_some_particle_has_it(sequence):
 def test_freed_columns_are_used_again():
     lazy = Landmarks(PARTICLES)
     first = lazy.reserve(3)
-    lazy.settle(first, np.array([0, PARTICLES, 0]), np.zeros((3, 128), np.float32))
+    lazy.commit(first, np.array([0, PARTICLES, 0]), np.zeros((3, 128), np.float32))
     again = lazy.reserve(2)
     assert set(again) == {first[0], first[2]}
     assert lazy.ids[again].tolist() == [3, 4]
@@ -102,7 +102,7 @@ def test_growth_keeps_what_was_there():
     columns = lazy.reserve(2)
     lazy.planes[columns] = 7
     lazy.bound(columns, 9.0)
-    lazy.settle(columns, np.array([PARTICLES] * 2), np.ones((2, 128), np.float32))
+    lazy.commit(columns, np.array([PARTICLES] * 2), np.ones((2, 128), np.float32))
     lazy.reserve(50)
     assert (lazy.planes[columns] == 7).all()
     assert (lazy.descriptors[columns] == 1).all()

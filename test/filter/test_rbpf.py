@@ -1,13 +1,17 @@
 """The filter against Algorithm 1 itself, and against its own laws."""
 
+import contextlib
 import copy
+from dataclasses import replace
 
 import literal_algorithm1 as literal
 import numpy as np
 import pytest
 import worlds
 
-from multi_robot_slam.filter import rbpf
+from multi_robot_slam.filter import rbpf, resampling
+from multi_robot_slam.filter.landmarks import Landmarks
+from multi_robot_slam.filter.settings import RejuvenationSettings
 from multi_robot_slam.models import stereo
 
 
@@ -65,7 +69,9 @@ def test_single_precision_agrees_within_rounding():
         for f, g in zip(a.frames, b.frames, strict=True):
             same = f.matches == g.matches
             assert same.mean() > 0.999
-            np.testing.assert_allclose(f.squared[same], g.squared[same], rtol=1e-2, atol=1e-2)
+            np.testing.assert_allclose(
+                f.mahalanobis_sq[same], g.mahalanobis_sq[same], rtol=1e-2, atol=1e-2
+            )
     np.testing.assert_array_equal(double.poses, single.poses)
     close = np.isclose(double.log_weight_sum, single.log_weight_sum, rtol=0, atol=0.05)
     assert close.mean() > 0.98
@@ -150,10 +156,69 @@ def test_moments_are_those_of_the_weighted_particles_before_resampling():
         settings = worlds.settings(resample_below=threshold)
         infos.append(rbpf.step(state, steps[2], settings, rng))
         if threshold == 0:
-            weights = rbpf.resampling.normalise(state.log_weights)
+            weights = resampling.normalise(state.log_weights)
             expected = [(p @ weights, np.cov(p, aweights=weights, ddof=0)) for p in state.poses]
     assert infos[1].ancestors is not None
     for info in infos:
         for found, (mean, covariance) in zip(info.moments, expected, strict=True):
             np.testing.assert_allclose(found[0], mean)
             np.testing.assert_allclose(found[1], covariance, atol=1e-12)
+
+
+@pytest.mark.parametrize("proposal", ["motion", "informed"])
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e308])
+def test_a_step_that_leads_to_no_numbers_is_not_done(proposal, bad):
+    settings = worlds.settings(particles=10, proposal=proposal)
+    steps = worlds.drive(3, steps=6)
+    state, _ = run_filter(steps[:5], settings, seed=0)
+    before = copy.deepcopy(state)
+    frames = list(steps[5])
+    frames[1] = replace(frames[1], motion=np.array([bad, 0.0, 0.0]))
+    with np.errstate(all="ignore"), pytest.raises(rbpf.NotFiniteError):
+        rbpf.step(state, frames, settings, np.random.default_rng(1))
+    np.testing.assert_array_equal(state.poses, before.poses)
+    np.testing.assert_array_equal(state.log_weights, before.log_weights)
+    assert len(state.history.records) == len(before.history.records)
+    assert state.landmarks.alive().tolist() == before.landmarks.alive().tolist()
+    again = [rbpf.step(s, steps[5], settings, np.random.default_rng(2)) for s in (state, before)]
+    np.testing.assert_array_equal(state.poses, before.poses)
+    np.testing.assert_array_equal(*(info.frames[0].mahalanobis_sq for info in again))
+
+
+def test_an_observation_that_overflows_updates_no_landmark():
+    """Plausible input is the pipeline's to check; whatever comes, no landmark gets a NaN."""
+    settings = worlds.settings(particles=10, proposal="informed")
+    steps = worlds.drive(3, steps=6)
+    state, _ = run_filter(steps[:5], settings, seed=0)
+    frames = [replace(f, covariances=f.covariances * 1e25) for f in steps[5]]
+    with np.errstate(all="ignore"), contextlib.suppress(rbpf.NotFiniteError):
+        rbpf.step(state, frames, settings, np.random.default_rng(1))
+    old = [column for column in state.landmarks.alive() if state.landmarks.ids[column] < 20]
+    assert np.isfinite(state.landmarks.planes[old]).all()
+    assert np.isfinite(state.poses).all()
+
+
+@pytest.mark.parametrize("ancestors_below", [0.0, 0.5])
+@pytest.mark.parametrize("proposal", ["motion", "informed"])
+def test_boxes_leave_out_no_landmark_that_a_particle_can_reach(
+    monkeypatch, proposal, ancestors_below
+):
+    """Whole runs with the boxes around landmarks, and with every landmark tried, are the same."""
+    settings = worlds.settings(
+        particles=30,
+        proposal=proposal,
+        resample_below=0.5,
+        rejuvenation=RejuvenationSettings(ancestors_below=ancestors_below, rest=3),
+    )
+    for seed in range(6):
+        steps = worlds.drive(seed, steps=15, alike=0.5)
+        with_boxes, infos = run_filter(steps, settings, seed)
+        with monkeypatch.context() as patch:
+            patch.setattr(Landmarks, "near", lambda self, box: self.alive())
+            without, expected = run_filter(steps, settings, seed)
+        if ancestors_below:
+            assert any(info.rejuvenated for info in infos)
+        for info, other in zip(infos, expected, strict=True):
+            for frame, its in zip(info.frames, other.frames, strict=True):
+                np.testing.assert_array_equal(frame.matches, its.matches)
+        np.testing.assert_array_equal(with_boxes.poses, without.poses)

@@ -9,7 +9,7 @@ import pytest
 import worlds
 
 from msg_defs.types import ObservationSet
-from multi_robot_slam.filter import rbpf, rejuvenation
+from multi_robot_slam.filter import rbpf, rejuvenation, resampling
 from multi_robot_slam.filter.settings import NO_REJUVENATION, FilterSettings, RejuvenationSettings
 from multi_robot_slam.models import stereo
 from multi_robot_slam.models.motion import MotionSettings
@@ -84,7 +84,7 @@ def test_in_a_linear_world_the_particles_are_the_exact_smoother_s(proposal):
     assert info.alone == 0
     assert info.effective_particles > 0.95 * count
 
-    weights = rbpf.resampling.normalise(state.log_weights)
+    weights = resampling.normalise(state.log_weights)
     paths = np.concatenate([record.poses[:2] for record in state.history.records[1:]])
     landmarks = state.landmarks
     landmarks.bring_up_to_date(landmarks.alive())
@@ -218,7 +218,7 @@ def test_landmarks_a_particle_had_split_are_joined():
     old = state.landmarks.columns_of(split.matches[:1, 0])
     state.landmarks.bring_up_to_date(old)
     state.landmarks.planes[columns] = state.landmarks.planes[old]
-    state.landmarks.settle(columns, np.array([10]), state.landmarks.descriptors[old])
+    state.landmarks.commit(columns, np.array([10]), state.landmarks.descriptors[old])
     split.matches = split.matches.copy()
     split.matches[0] = spare
     assert len(state.landmarks.of_particle(0)[0]) == whole + 1
@@ -262,8 +262,8 @@ def test_settled_poses_stay_and_the_rest_is_as_good_as_with_all_of_them():
     state, few = run(steps, narrow)
     records = state.history.records
     drawn_at = 3 * state.origin_step
-    assert drawn_at - 23 < state.settled.count <= drawn_at - 20
-    assert records[state.settled.count].step > records[state.settled.count - 1].step
+    assert drawn_at - 23 < state.settled.records <= drawn_at - 20
+    assert records[state.settled.records].step > records[state.settled.records - 1].step
     for a, b in zip(whole, few, strict=True):
         for (mean, covariance), (other, _) in zip(a.moments, b.moments, strict=True):
             # The random numbers differ too.
@@ -284,7 +284,7 @@ def test_heirs_replace_ids_through_several_joins(pairs):
 def test_tempered_weights_leave_half_of_the_particles_effective_and_touch_nothing_better(spread):
     exact = np.random.default_rng(0).normal(0, spread, 200)
     weights = rejuvenation.tempered(exact)
-    effective = rbpf.resampling.effective_sample_size(rbpf.resampling.normalise(weights))
+    effective = resampling.effective_sample_size(resampling.normalise(weights))
     assert effective > 99.9
     if spread == 0.1:
         assert (weights == exact).all()

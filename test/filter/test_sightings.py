@@ -7,7 +7,7 @@ import pytest
 
 from msg_defs.types import CameraMount, ObservationSet, PoseSample, Sightings
 from multi_robot_slam.config import Config
-from multi_robot_slam.filter import rbpf, sightings
+from multi_robot_slam.filter import rbpf, resampling, sightings
 from multi_robot_slam.filter.settings import NO_REJUVENATION, FilterSettings
 from multi_robot_slam.models.frames import BodySightings, RobotFrame
 from multi_robot_slam.models.motion import MotionSettings
@@ -104,7 +104,7 @@ def test_posterior_is_the_kalman_filter_s(proposal):
     state = rbpf.init(STARTS, settings, np.float64)
     for t, measured in enumerate(world(5)):
         info = rbpf.step(state, list(frames_of(t, *measured)), settings, rng)
-    weights = rbpf.resampling.normalise(state.log_weights)
+    weights = resampling.normalise(state.log_weights)
     state.landmarks.bring_up_to_date(state.landmarks.alive())
     (planes,) = state.landmarks.planes[state.landmarks.alive()]
     places = np.concatenate([state.poses[:, :2].reshape(6, -1), planes[:3]])
@@ -143,7 +143,7 @@ def test_one_sighting_informs_both_as_one_dense_update_would():
     np.testing.assert_allclose(joint.mean[:, 0], x - K @ r, atol=1e-8)
     np.testing.assert_allclose(joint.covariance[:, :, 0], P - K @ H @ P, atol=1e-8)
     D = r @ np.linalg.inv(S) @ r
-    np.testing.assert_allclose(worth.squared[0, 0], D, rtol=1e-6)
+    np.testing.assert_allclose(worth.mahalanobis_sq[0, 0], D, rtol=1e-6)
     np.testing.assert_allclose(worth.log_factor, -0.5 * (D + np.log(np.linalg.det(S))), rtol=1e-6)
 
 
@@ -153,7 +153,7 @@ def test_a_gross_error_changes_no_belief_and_weighs_as_the_gate():
     before = joint.covariance.copy()
     seen = BodySightings(np.array([1]), np.array([[50.0, 0.0]]), np.array([[0.01, 0.0, 0.01]]))
     worth = joint.see(0, seen, 9.0)
-    assert (worth.squared > 9.0).all()
+    assert (worth.mahalanobis_sq > 9.0).all()
     assert (joint.mean == 0).all()
     assert (joint.covariance == before).all()
     np.testing.assert_allclose(worth.log_factor, -0.5 * (9.0 + 2 * np.log(0.21)))

@@ -8,7 +8,7 @@ import worlds
 
 from msg_defs.types import ObservationSet, PoseSample
 from multi_robot_slam.config import Config
-from multi_robot_slam.filter import rbpf
+from multi_robot_slam.filter import rbpf, resampling
 from multi_robot_slam.pipeline.pipeline import Pipeline
 
 NAMES = ("robot_1", "robot_2", "robot_3")
@@ -171,7 +171,7 @@ def test_mean_paths_are_those_of_all_particles():
     pipeline = Pipeline(config())
     run(pipeline, round_robin(events(worlds.drive(9, steps=40))))
     state, means = pipeline._state, pipeline.mean_trajectories()
-    weights = rbpf.resampling.normalise(state.log_weights)
+    weights = resampling.normalise(state.log_weights)
     whole = [list(state.history.lineage(m))[::-1] for m in range(20)]
     for index, name in enumerate(NAMES):
         poses = [[r.poses[:, row] for r, row in past if r.robot == index] for past in whole]

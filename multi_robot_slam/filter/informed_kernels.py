@@ -16,14 +16,13 @@ from the belief, and the landmarks are updated or created as seen from the drawn
 """
 
 import numpy as np
-from numba import njit
 
 from multi_robot_slam.filter.kernels import (
     BLOCK,
     COS,
     DETERMINANT,
+    DISTANCE,
     SIN,
-    SQUARED,
     TAKEN,
     UNMATCHED,
     X,
@@ -32,12 +31,15 @@ from multi_robot_slam.filter.kernels import (
     count_equal,
     create,
     fetch,
+    inverted,
     put,
     replace,
     set_taken_aside,
+    turned,
     update,
     weigh_new,
 )
+from multi_robot_slam.models.compiled import kernel
 
 YAW, P_XX, P_XY, P_XT, P_YY, P_YT, P_TT = range(6, 13)
 """Rows of a block beside those of `kernels`: change of yaw so far, covariance of the pose."""
@@ -46,23 +48,9 @@ NO_GATE = 1e30
 """Lets every distance through: the match is already known."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def associate_and_believe(
-    first,
-    last,
-    planes,
-    starts,
-    columns,
-    poses,
-    prior,
-    v,
-    noise,
-    gate,
-    exclusive,
-    beliefs,
-    matches,
-    squared,
-    dets,
+    first, last, planes, candidates, poses, prior, observed, gate, exclusive, beliefs, matches
 ):
     """Match each observation to a landmark and update each particle's belief about the pose.
 
@@ -72,11 +60,14 @@ def associate_and_believe(
     poses : (4, M) cos yaw, sin yaw, x, y of the predicted pose x_bar.
     prior : (6, M) covariance xx xy xt yy yt tt of the predicted pose, in `map`.
     beliefs : (9, M), out: change of x, y, yaw against x_bar; covariance xx xy xt yy yt tt.
-    squared, dets : (B, M), out: D (18) and |S| of the match.
-    Others as in `kernels.associate_and_update`; `matches` is UNMATCHED where none was found, and
-    `planes` stay as they are.
+    matches : `kernels.Matches`, out: UNMATCHED where no landmark was found, else D (18) and |S|.
+    Others as in `kernels.associate_and_update`; `planes` stay as they are. The arithmetic is done
+    in the dtype of `prior`.
     """
-    local = np.zeros((13, BLOCK), planes.dtype)
+    v, noise = observed
+    starts, columns, _ = candidates
+    matched, mahalanobis_sq, determinants = matches
+    local = np.zeros((13, BLOCK), prior.dtype)
     found = np.empty(BLOCK, np.int32)
     for low in range(first, last, BLOCK):
         high = min(low + BLOCK, last)
@@ -89,29 +80,59 @@ def associate_and_believe(
                 if column < 0:
                     continue
                 if exclusive:
-                    set_taken_aside(column, column, starts, columns, b, matches, low, count, found)
+                    set_taken_aside(column, column, candidates, b, matched, low, count, found)
                 believe(planes[column], low, high, column, local, found, v[b], noise[b], gate)
                 if exclusive:
                     replace(found, count, TAKEN, UNMATCHED)
                 if count_equal(found, count, UNMATCHED) == 0:
                     break
-            copy(found[:count], matches[b, low:high])
-            copy(local[SQUARED, :count], squared[b, low:high])
-            copy(local[DETERMINANT, :count], dets[b, low:high])
+            copy(found[:count], matched[b, low:high])
+            copy(local[DISTANCE, :count], mahalanobis_sq[b, low:high])
+            copy(local[DETERMINANT, :count], determinants[b, low:high])
         subtract(local[X, :count], poses[2, low:high], beliefs[0, low:high])
         subtract(local[Y, :count], poses[3, low:high], beliefs[1, low:high])
         for row in range(YAW, P_TT + 1):
             copy(local[row, :count], beliefs[row - YAW + 2, low:high])
 
 
-@njit(cache=True, nogil=True)
+LEAST_SHARE = 2.0**-12
+"""Of a prior's variance, what single precision may be asked to leave.
+
+The inverse of S by cofactors errs by up to the 2^-24 of a float32 times the square of the ratio
+between the variance that the pose's prior has at an observed point and the observation's least
+own one. Up to 2^12 that is at most as much as D itself, and in a camera's directions far less.
+"""
+
+
+@kernel
+def needs_double(prior, v, noise):
+    """Some observation is so precise beside the prior that its update needs float64.
+
+    Parameters
+    ----------
+    prior : (2,) largest variance of a position xx + yy [m^2] and of a yaw [rad^2].
+    v, noise : (B, 3), (B, 6) observations and R in `base_link`, float64.
+    """
+    for b in range(len(v)):
+        spread = prior[0] + (v[b, 0] * v[b, 0] + v[b, 1] * v[b, 1]) * prior[1]
+        xx, xy, xz, yy, yz, zz, _ = inverted(
+            1.0, noise[b, 0], noise[b, 1], noise[b, 2], noise[b, 3], noise[b, 4], noise[b, 5]
+        )
+        # The Frobenius norm of R^-1 is at least one over R's least eigenvalue.
+        norm_sq = xx * xx + yy * yy + zz * zz + 2 * (xy * xy + xz * xz + yz * yz)
+        if LEAST_SHARE * spread * np.sqrt(norm_sq) > 1:
+            return True
+    return False
+
+
+@kernel
 def subtract(a, b, difference):
     """Row a - row b."""
     for m in range(a.size):
         difference[m] = a[m] - b[m]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def load(poses, prior, local):
     """Start a block's beliefs at the prediction."""
     for row in range(4):
@@ -121,7 +142,7 @@ def load(poses, prior, local):
         copy(prior[row], local[P_XX + row])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def spread_in_map(poses, spread, prior):
     """Covariance (6, M) xx xy xt yy yt tt of the motion, into `prior`.
 
@@ -142,25 +163,21 @@ def spread_in_map(poses, spread, prior):
         prior[5, m] = yaw
 
 
-@njit(inline="always", cache=True, nogil=True, error_model="numpy")
+@kernel(inline="always")
 def believe(landmark, low, high, column, local, found, v, noise, gate):
     """Update the beliefs of a block where `landmark` lies inside the gate and nothing else did."""
     mean_x, mean_y, mean_z = landmark[0, low:high], landmark[1, low:high], landmark[2, low:high]
     cov_xx, cov_xy, cov_xz = landmark[3, low:high], landmark[4, low:high], landmark[5, low:high]
     cov_yy, cov_yz, cov_zz = landmark[6, low:high], landmark[7, low:high], landmark[8, low:high]
-    number = landmark.dtype.type
+    number = local.dtype.type
     one, half, sixth = number(1), number(1 / 2), number(1 / 6)
     twentieth, twelfth = number(1 / 20), number(1 / 12)
     index = np.int32(column)
-    n_xx, n_xy, n_xz, n_yy, n_yz, r_zz = noise[0], noise[1], noise[2], noise[3], noise[4], noise[5]
+    elements = noise[0], noise[1], noise[2], noise[3], noise[4], noise[5]
+    r_zz = noise[5]
     for m in range(mean_x.size):
         c, s = local[COS, m], local[SIN, m]
-        cc, ss, cs = c * c, s * s, c * s
-        r_xx = cc * n_xx - (cs + cs) * n_xy + ss * n_yy
-        r_xy = cs * (n_xx - n_yy) + (cc - ss) * n_xy
-        r_xz = c * n_xz - s * n_yz
-        r_yy = ss * n_xx + (cs + cs) * n_xy + cc * n_yy
-        r_yz = s * n_xz + c * n_yz
+        r_xx, r_xy, r_xz, r_yy, r_yz = turned(elements, c, s)
 
         w_x, w_y = c * v[0] - s * v[1], s * v[0] + c * v[1]
         nu_x = local[X, m] + w_x - mean_x[m]
@@ -176,48 +193,45 @@ def believe(landmark, low, high, column, local, found, v, noise, gate):
         s_yy = a_yy + w_x * a_ty + cov_yy[m] + r_yy
         s_xz, s_yz, s_zz = cov_xz[m] + r_xz, cov_yz[m] + r_yz, cov_zz[m] + r_zz
 
-        i_xx = s_yy * s_zz - s_yz * s_yz
-        i_xy = s_xz * s_yz - s_xy * s_zz
-        i_xz = s_xy * s_yz - s_xz * s_yy
-        det = s_xx * i_xx + s_xy * i_xy + s_xz * i_xz
-        scale = one / det
-        i_xx, i_xy, i_xz = i_xx * scale, i_xy * scale, i_xz * scale
-        i_yy = (s_xx * s_zz - s_xz * s_xz) * scale
-        i_yz = (s_xy * s_xz - s_xx * s_yz) * scale
-        i_zz = (s_xx * s_yy - s_xy * s_xy) * scale
+        i_xx, i_xy, i_xz, i_yy, i_yz, i_zz, det = inverted(one, s_xx, s_xy, s_xz, s_yy, s_yz, s_zz)
         e_x = i_xx * nu_x + i_xy * nu_y + i_xz * nu_z
         e_y = i_xy * nu_x + i_yy * nu_y + i_yz * nu_z
         e_z = i_xz * nu_x + i_yz * nu_y + i_zz * nu_z
         distance = nu_x * e_x + nu_y * e_y + nu_z * e_z  # (18) with S
         match = found[m]
-        hit = np.int32(distance <= gate) * np.int32(match == UNMATCHED)
-        keep = number(hit)
-        rest = one - keep
+        hit = (distance <= gate) & (distance > -one) & (det > 0) & (match == UNMATCHED)
 
-        d_t = keep * (a_tx * e_x + a_ty * e_y)
-        local[X, m] -= keep * (a_xx * e_x + a_xy * e_y)
-        local[Y, m] -= keep * (a_yx * e_x + a_yy * e_y)
-        local[YAW, m] -= d_t
+        d_t = a_tx * e_x + a_ty * e_y
+        x_new = local[X, m] - (a_xx * e_x + a_xy * e_y)
+        y_new = local[Y, m] - (a_yx * e_x + a_yy * e_y)
+        yaw_new = local[YAW, m] - d_t
+        local[X, m] = x_new if hit else local[X, m]
+        local[Y, m] = y_new if hit else local[Y, m]
+        local[YAW, m] = yaw_new if hit else local[YAW, m]
         square = d_t * d_t
         cos_d = one - half * square * (one - twelfth * square)
         sin_d = d_t * (one - sixth * square * (one - twentieth * square))
-        local[COS, m] = c * cos_d + s * sin_d
-        local[SIN, m] = s * cos_d - c * sin_d
+        c_new, s_new = c * cos_d + s * sin_d, s * cos_d - c * sin_d
+        local[COS, m] = c_new if hit else c
+        local[SIN, m] = s_new if hit else s
         k_xx, k_xy = a_xx * i_xx + a_xy * i_xy, a_xx * i_xy + a_xy * i_yy
         k_yx, k_yy = a_yx * i_xx + a_yy * i_xy, a_yx * i_xy + a_yy * i_yy
         k_tx, k_ty = a_tx * i_xx + a_ty * i_xy, a_tx * i_xy + a_ty * i_yy
-        local[P_XX, m] = p_xx - keep * (k_xx * a_xx + k_xy * a_xy)
-        local[P_XY, m] = p_xy - keep * (k_xx * a_yx + k_xy * a_yy)
-        local[P_XT, m] = p_xt - keep * (k_xx * a_tx + k_xy * a_ty)
-        local[P_YY, m] = p_yy - keep * (k_yx * a_yx + k_yy * a_yy)
-        local[P_YT, m] = p_yt - keep * (k_yx * a_tx + k_yy * a_ty)
-        local[P_TT, m] = p_tt - keep * (k_tx * a_tx + k_ty * a_ty)
-        local[SQUARED, m] = rest * local[SQUARED, m] + keep * distance
-        local[DETERMINANT, m] = rest * local[DETERMINANT, m] + keep * det
-        found[m] = match + hit * (index - match)
+        xx_new, xy_new = p_xx - (k_xx * a_xx + k_xy * a_xy), p_xy - (k_xx * a_yx + k_xy * a_yy)
+        xt_new, yy_new = p_xt - (k_xx * a_tx + k_xy * a_ty), p_yy - (k_yx * a_yx + k_yy * a_yy)
+        yt_new, tt_new = p_yt - (k_yx * a_tx + k_yy * a_ty), p_tt - (k_tx * a_tx + k_ty * a_ty)
+        local[P_XX, m] = xx_new if hit else p_xx
+        local[P_XY, m] = xy_new if hit else p_xy
+        local[P_XT, m] = xt_new if hit else p_xt
+        local[P_YY, m] = yy_new if hit else p_yy
+        local[P_YT, m] = yt_new if hit else p_yt
+        local[P_TT, m] = tt_new if hit else p_tt
+        local[DISTANCE, m] = distance if hit else local[DISTANCE, m]
+        local[DETERMINANT, m] = det if hit else local[DETERMINANT, m]
+        found[m] = index if hit else match
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def draw(poses, beliefs, normals):
     """Draw the new pose of every particle, in place.
 
@@ -240,28 +254,16 @@ def draw(poses, beliefs, normals):
         poses[2, m] += beliefs[2, m] + l_tx * n_x + l_ty * n_y + l_tt * n_t
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def update_matched(
-    first,
-    last,
-    planes,
-    starts,
-    columns,
-    new_columns,
-    poses,
-    v,
-    noise,
-    gate,
-    matches,
-    squared,
-    dets,
-):
+@kernel
+def update_matched(first, last, planes, candidates, new_columns, poses, observed, gate, matches):
     """Update the matched landmarks and create the new ones, as seen from the drawn poses.
 
-    Parameters as in `kernels.associate_and_update`, `poses` being the drawn ones and `matches`,
-    `squared`, `dets` what `associate_and_believe` found; where it found nothing they become those
-    of the new landmark.
+    Parameters as in `kernels.associate_and_update`, `poses` being the drawn ones and `matches` what
+    `associate_and_believe` found; where it found nothing they become those of the new landmark.
     """
+    v, noise = observed
+    starts, columns, _ = candidates
+    matched, mahalanobis_sq, determinants = matches
     local = np.zeros((15, BLOCK), planes.dtype)
     found = np.empty(BLOCK, np.int32)
     for low in range(first, last, BLOCK):
@@ -270,7 +272,7 @@ def update_matched(
         for row in range(4):
             copy(poses[row, low:high], local[row])
         for b in range(len(v)):
-            copy(matches[b, low:high], found)
+            copy(matched[b, low:high], found)
             unmatched = count_equal(found, count, UNMATCHED)
             left = count - unmatched
             for i in range(starts[b], starts[b + 1]):
@@ -284,10 +286,10 @@ def update_matched(
                     put(planes[column], low, count, local)
                     left -= mine
             if unmatched > 0:
-                copy(squared[b, low:high], local[SQUARED])
-                copy(dets[b, low:high], local[DETERMINANT])
+                copy(mahalanobis_sq[b, low:high], local[DISTANCE])
+                copy(determinants[b, low:high], local[DETERMINANT])
                 create(planes[new_columns[b]], low, high, local, found, v[b], noise[b])
                 weigh_new(new_columns[b], local, found, count, noise[b], gate)
-                copy(found[:count], matches[b, low:high])
-                copy(local[SQUARED, :count], squared[b, low:high])
-                copy(local[DETERMINANT, :count], dets[b, low:high])
+                copy(found[:count], matched[b, low:high])
+                copy(local[DISTANCE, :count], mahalanobis_sq[b, low:high])
+                copy(local[DETERMINANT, :count], determinants[b, low:high])

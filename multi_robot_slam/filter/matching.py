@@ -1,0 +1,123 @@
+"""One robot's frame on its way through the kernels: candidates in, matches and a weight out."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from multi_robot_slam.filter import association, kernels
+from multi_robot_slam.filter.association import Candidates
+from multi_robot_slam.filter.kernels import Matches, Observed
+from multi_robot_slam.filter.landmarks import Landmarks
+from multi_robot_slam.filter.settings import FilterSettings, threads
+from multi_robot_slam.filter.sightings import Sighted
+from multi_robot_slam.filter.state import State
+from multi_robot_slam.models.frames import RobotFrame
+
+
+class FrameInfo(NamedTuple):
+    """What each particle made of one robot's frame, before resampling."""
+
+    matches: np.ndarray
+    """(B, M) int32: id of the landmark that was updated or created."""
+    mahalanobis_sq: np.ndarray
+    """(B, M): D (18)."""
+    log_likelihood: np.ndarray
+    """(M,) float64: sum of the logarithms of (16) and of the sightings' factors."""
+    new_ids: np.ndarray
+    """(B,) int32: id of the landmark that each observation would create."""
+    candidates: Candidates
+    candidate_ids: np.ndarray
+    """(C,) int32: id of each candidate."""
+    sighted: Sighted
+
+    def descriptor_distances(self, matches: np.ndarray) -> np.ndarray:
+        """E (19) of B `matches` (ids), (B,) float32; NaN where a match was no candidate."""
+        observation = np.repeat(np.arange(len(matches)), np.diff(self.candidates.starts))
+        chosen = self.candidate_ids == matches[observation]
+        result = np.full(len(matches), np.nan, np.float32)
+        result[observation[chosen]] = self.candidates.distances[chosen]
+        return result
+
+
+class Matching(NamedTuple):
+    """The arrays the kernels read and write for one frame, in the dtype of the planes."""
+
+    observed: Observed
+    candidates: Candidates
+    new_columns: np.ndarray
+    """(B,) the column each observation may create."""
+    matches: Matches
+
+
+def begin(
+    state: State, frame: RobotFrame, settings: FilterSettings, pose_margin: np.ndarray
+) -> Matching:
+    """Find the candidates (18), (19) of a frame and bring them up to date.
+
+    `pose_margin` (2,): how far each pose may still move [m] and turn [rad] before the gate is
+    tried.
+    """
+    landmarks, (v, noise) = state.landmarks, (frame.positions, frame.covariances)
+    count, dtype = len(v), landmarks.planes.dtype
+    near = np.empty(0, int)
+    if count:
+        poses = state.poses[frame.robot]
+        box = association.field_of_search(poses, v, noise, settings.gate, pose_margin)
+        near = landmarks.near(box)
+    candidates = association.find_candidates(
+        frame.descriptors, landmarks.descriptors[near], near, settings.descriptor_gate
+    )
+    landmarks.bring_up_to_date(_touched(candidates), threads(settings))
+    shape = (count, settings.particles)
+    matches = Matches(np.empty(shape, np.int32), np.empty(shape, dtype), np.empty(shape, dtype))
+    observed = Observed(v.astype(dtype), noise.astype(dtype))
+    return Matching(observed, candidates, landmarks.reserve(count), matches)
+
+
+def finish(
+    landmarks: Landmarks,
+    frame: RobotFrame,
+    settings: FilterSettings,
+    matching: Matching,
+    sighted: Sighted,
+) -> FrameInfo:
+    """Keep the landmarks that were created, and weigh (16)."""
+    candidates, new_columns, matches = matching[1:]
+    new_ids, ids = landmarks.ids[new_columns], landmarks.ids[matches.columns]
+    candidate_ids = landmarks.ids[_columns(candidates.columns, new_columns)]
+    created = kernels.complete_new(landmarks.planes, new_columns, matches.columns)
+    landmarks.bound(_touched(candidates), settings.gate)
+    landmarks.bound(new_columns[created > 0], settings.gate)
+    landmarks.commit(new_columns, created, frame.descriptors)
+    log_likelihood = kernels.log_likelihood(matches.mahalanobis_sq, matches.determinants)
+    return FrameInfo(
+        ids,
+        matches.mahalanobis_sq,
+        log_likelihood + sighted.log_factor,
+        new_ids,
+        candidates,
+        candidate_ids,
+        sighted,
+    )
+
+
+def as_seen(poses: np.ndarray, dtype: type | np.dtype) -> np.ndarray:
+    """(4, M) cos yaw, sin yaw, x, y of `poses` (3, M), as kernels take them."""
+    seen = np.empty((4, poses.shape[1]), dtype)
+    yaw = poses[2].astype(dtype)
+    np.cos(yaw, out=seen[0])
+    np.sin(yaw, out=seen[1])
+    seen[2:] = poses[:2]
+    return seen
+
+
+def _touched(candidates: Candidates) -> np.ndarray:
+    """Landmark columns among the candidates, each once."""
+    return np.unique(candidates.columns[candidates.columns >= 0])
+
+
+def _columns(candidates: np.ndarray, new_columns: np.ndarray) -> np.ndarray:
+    """The column each candidate stands for, see `association.Candidates`."""
+    columns = candidates.copy()
+    columns[candidates < 0] = new_columns[-1 - candidates[candidates < 0]]
+    return columns

@@ -1,0 +1,146 @@
+"""The two ways to propose new poses: from the motion alone, or knowing what the robot sees.
+
+Each takes the frames of one instant, draws a pose for every particle and robot, matches,
+updates and weighs: Algorithm 1, lines 12 to 42.
+"""
+
+import numpy as np
+
+from multi_robot_slam.filter import informed_kernels, kernels, matching, sightings
+from multi_robot_slam.filter.kernels import Observed
+from multi_robot_slam.filter.matching import FrameInfo, as_seen
+from multi_robot_slam.filter.settings import FilterSettings, threads
+from multi_robot_slam.filter.sightings import Sighted
+from multi_robot_slam.filter.state import State
+from multi_robot_slam.models import motion, parallel
+from multi_robot_slam.models.frames import RobotFrame
+from multi_robot_slam.smoothing.odometry_scale import scaled
+
+MANY_SIGMA = 10.0
+"""No belief moves a pose further from its prediction."""
+
+
+WIDEST_M = kernels.FAR / 2
+"""No pose is further away: what lies beyond stands for a landmark that a particle does not have."""
+
+
+class NotFiniteError(ArithmeticError):
+    """A step would leave poses or weights that are no numbers: it was not done."""
+
+
+def propose_by_motion(
+    state: State, frames: list[RobotFrame], settings: FilterSettings, rng: np.random.Generator
+) -> list[FrameInfo]:
+    """Draw the poses from the motion model (7), then match and update as seen from them."""
+    for frame in frames:
+        poses = state.poses[frame.robot]
+        sigma = motion.standard_deviations(frame.motion, frame.seconds, settings.motion)
+        noise = sigma[:, None] * rng.standard_normal(poses.shape)
+        motion.move(poses, scaled(frame.motion, state.scales.factors[frame.robot])[:, None] + noise)
+        require_finite(poses)
+    certain = np.zeros((len(frames), 6, settings.particles))
+    _, sighted = sightings.see_all(frames, state.poses, certain, settings.sighting_gate)
+    return [
+        _update_as_drawn(state, frame, settings, seen)
+        for frame, seen in zip(frames, sighted, strict=True)
+    ]
+
+
+def _update_as_drawn(
+    state: State, frame: RobotFrame, settings: FilterSettings, sighted: Sighted
+) -> FrameInfo:
+    """Match, update and weigh as seen from the drawn poses."""
+    found = matching.begin(state, frame, settings, pose_margin=np.zeros(2))
+    dtype = state.landmarks.planes.dtype
+    parallel.over_particles(
+        kernels.associate_and_update,
+        settings.particles,
+        threads(settings),
+        state.landmarks.planes,
+        found.candidates,
+        found.new_columns,
+        as_seen(state.poses[frame.robot], dtype),
+        found.observed,
+        dtype.type(settings.gate),
+        settings.exclusive,
+        found.matches,
+    )
+    return matching.finish(state.landmarks, frame, settings, found, sighted)
+
+
+def propose_informed(
+    state: State, frames: list[RobotFrame], settings: FilterSettings, rng: np.random.Generator
+) -> list[FrameInfo]:
+    """Match first, then draw each pose from what motion, sightings and matches say, then update."""
+    priors = np.empty((len(frames), 6, settings.particles), state.landmarks.planes.dtype)
+    for frame, prior in zip(frames, priors, strict=True):
+        poses = state.poses[frame.robot]
+        motion.move(poses, scaled(frame.motion, state.scales.factors[frame.robot])[:, None])
+        spread = motion.spread(frame.motion, frame.seconds, settings.motion).astype(prior.dtype)
+        informed_kernels.spread_in_map(as_seen(poses, prior.dtype), spread, prior)
+        require_finite(poses)
+    joint, sighted = sightings.see_all(frames, state.poses, priors, settings.sighting_gate)
+    infos = []
+    for frame, prior, seen in zip(frames, priors, sighted, strict=True):
+        if joint is not None:
+            state.poses[frame.robot], prior[:] = joint.of(frame.robot)
+        infos.append(_match_and_draw(state, frame, prior, settings, rng, seen))
+        if joint is not None:
+            joint.fix(frame.robot, state.poses[frame.robot])
+    return infos
+
+
+def _match_and_draw(
+    state: State,
+    frame: RobotFrame,
+    prior: np.ndarray,
+    settings: FilterSettings,
+    rng: np.random.Generator,
+    sighted: Sighted,
+) -> FrameInfo:
+    """Match, draw the pose from the `prior` (6, M) and what was matched, update and weigh."""
+    poses = state.poses[frame.robot]
+    variances = np.array([(prior[0] + prior[3]).max(), prior[5].max()])
+    found = matching.begin(state, frame, settings, MANY_SIGMA * np.sqrt(variances))
+    observed, gate = found.observed, settings.gate
+    exact = informed_kernels.needs_double(variances, frame.positions, frame.covariances)
+    dtype = np.dtype(np.float64) if exact else state.landmarks.planes.dtype
+    beliefs = np.empty((9, settings.particles), dtype)
+    parallel.over_particles(
+        informed_kernels.associate_and_believe,
+        settings.particles,
+        threads(settings),
+        state.landmarks.planes,
+        found.candidates,
+        as_seen(poses, dtype),
+        prior.astype(dtype, copy=False),
+        Observed(*(part.astype(dtype, copy=False) for part in observed)),
+        dtype.type(gate),
+        settings.exclusive,
+        beliefs,
+        found.matches,
+    )
+    informed_kernels.draw(poses, beliefs, rng.standard_normal(poses.shape))
+    require_finite(poses)
+    parallel.over_particles(
+        informed_kernels.update_matched,
+        settings.particles,
+        threads(settings),
+        state.landmarks.planes,
+        found.candidates,
+        found.new_columns,
+        as_seen(poses, observed.v.dtype),
+        observed,
+        observed.v.dtype.type(gate),
+        found.matches,
+    )
+    return matching.finish(state.landmarks, frame, settings, found, sighted)
+
+
+def require_finite(values: np.ndarray, limit: float = WIDEST_M) -> None:
+    """`NotFiniteError` unless all `values` (n, M), float64, are numbers of size up to `limit`."""
+    if not kernels.all_within(values, limit):
+        raise NotFiniteError("the step leads to poses or weights that are no finite numbers")
+
+
+PROPOSALS = {"motion": propose_by_motion, "informed": propose_informed}
