@@ -60,7 +60,7 @@ def _folder(base: str) -> Path:
 
 def digest(package: Path) -> str:
     """A name that changes whenever a source file of the compiled rooms does."""
-    files = sorted(file for room in ROOMS for file in (package / room).glob("*.py"))
+    files = sorted(file for room in ROOMS for file in (package / room).rglob("*.py"))
     content = hashlib.blake2b(digest_size=8)
     for file in files:
         content.update(f"{file.relative_to(package)}\n".encode())
