@@ -4,7 +4,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from msg_defs import scenario_file, topics, wire
-from multi_robot_slam.bags.bag import BagWriter
+from multi_robot_slam.bags import BagWriter
 from multi_robot_slam.config import SECTION, Config
 
 CONFIG = Config()

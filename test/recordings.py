@@ -3,7 +3,7 @@
 from itertools import islice
 
 from msg_defs import scenario_file, topics, wire
-from multi_robot_slam.bags.bag import BagWriter
+from multi_robot_slam.bags import BagWriter
 from multi_robot_slam.config import SECTION, Config
 from multi_robot_slam.filter.settings import FilterSettings
 from multi_robot_slam.pipeline.pipeline import Pipeline

@@ -12,9 +12,9 @@ from typing import IO, NamedTuple
 
 from mcap.reader import SeekingReader
 from mcap.reader import Summary as McapSummary
-from mcap.records import Channel, Message, Schema
+from mcap.records import Channel, Message, Schema, Statistics
 from mcap.stream_reader import StreamReader
-from rosbags.interfaces import Qos, QosDurability, QosReliability
+from rosbags.interfaces import ConnectionExtRosbag2, Qos, QosDurability, QosReliability
 from rosbags.rosbag2 import Reader
 from rosbags.rosbag2.metadata import parse_qos
 
@@ -42,8 +42,7 @@ class Summary(NamedTuple):
 
     topics: frozenset[Topic]
     """Names are absolute."""
-    count: int
-    """Messages."""
+    message_count: int
     span_ns: tuple[int, int] | None
     """When the first and the last message were recorded; None without messages."""
 
@@ -53,7 +52,7 @@ def merged(summaries: list[Summary]) -> Summary:
     spans = [summary.span_ns for summary in summaries if summary.span_ns]
     return Summary(
         frozenset().union(*(summary.topics for summary in summaries)),
-        sum(summary.count for summary in summaries),
+        sum(summary.message_count for summary in summaries),
         (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None,
     )
 
@@ -76,8 +75,8 @@ class McapFile:
                 for found in SeekingReader(stream, validate_crcs=True).iter_messages(names):
                     yield _record(*found)
             else:
-                found = _Salvage(stream, self.size).records()
-                wanted = (r for r in found if names is None or r.topic in names)
+                salvaged = _Salvage(stream, self.size).records()
+                wanted = (r for r in salvaged if names is None or r.topic in names)
                 yield from sorted(wanted, key=attrgetter("stamp_ns"))
 
     @cached_property
@@ -87,7 +86,7 @@ class McapFile:
             found = SeekingReader(stream).get_summary() if self.is_complete else None
         if found is None or found.statistics is None:
             return self._scan[0]
-        return _declared(found)
+        return _declared(found, found.statistics)
 
     @property
     def loss(self) -> str:
@@ -97,15 +96,15 @@ class McapFile:
         (_, count, span_ns), used = self._scan
         first, last = span_ns or (0, 0)
         return (
-            f"{self.path} breaks off: its recorder was killed, or it was cut; {count} messages "
-            f"over {(last - first) / 1e9:.1f} s are read, {self.size - used} bytes after them "
+            f"{self.path} breaks off: its recorder was killed or failed, or it was cut; "
+            f"{count} messages over {(last - first) / 1e9:.1f} s are read, {self.size - used} bytes after them "
             "hold no whole one"
         )
 
     @cached_property
     def _scan(self) -> tuple[Summary, int]:
         """What the messages tell, and the size up to the end of the last whole record [bytes]."""
-        stamps = []
+        stamps: list[int] = []
         with self.path.open("rb") as stream, _damage_reported(self.path):
             salvage = _Salvage(stream, self.size)
             stamps += (record.stamp_ns for record in salvage.records())
@@ -172,6 +171,7 @@ class RosbagsFile:
             topics = {
                 Topic(c.topic, c.msgtype, _kind(c.ext.offered_qos_profiles))
                 for c in reader.connections
+                if isinstance(c.ext, ConnectionExtRosbag2)
             }
             count = reader.message_count
             span_ns = (reader.start_time, reader.end_time - 1) if count else None
@@ -190,8 +190,7 @@ def _damage_reported(path: Path) -> Iterator[None]:
         ) from None
 
 
-def _declared(summary: McapSummary) -> Summary:
-    statistics = summary.statistics
+def _declared(summary: McapSummary, statistics: Statistics) -> Summary:
     span_ns = statistics.message_start_time, statistics.message_end_time
     return Summary(
         frozenset(_topic(c, summary.schemas.get(c.schema_id)) for c in summary.channels.values()),

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator
 from msg_defs import topics, wire
 from msg_defs.errors import InputError
 from msg_defs.topics import LATCHED, Topic
-from multi_robot_slam.bags.bag import BagReader, Record, absolute
+from multi_robot_slam.bags import BagReader, Record, absolute
 
 GAP_S = 1.0
 GAP_PERIODS = 10

@@ -19,7 +19,7 @@ from msg_defs.types import (
     Sightings,
     Trajectory,
 )
-from multi_robot_slam.bags.bag import BagWriter
+from multi_robot_slam.bags import BagWriter
 from multi_robot_slam.config import SECTION, Config
 from multi_robot_slam.datasets.dead_reckoning import poses_at, twists_at
 from multi_robot_slam.datasets.recording import Noise, Recording, RobotLog

@@ -13,7 +13,7 @@ from annotated_types import Len
 from msg_defs import topics
 from msg_defs.ros import node
 from msg_defs.types import settings
-from multi_robot_slam.bags.bag import FLUSH_PERIOD_S, BagWriter
+from multi_robot_slam.bags import FLUSH_PERIOD_S, BagWriter
 
 
 @settings

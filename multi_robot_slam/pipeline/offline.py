@@ -7,7 +7,7 @@ from pathlib import Path
 from msg_defs import scenario_file, topics, wire
 from msg_defs.errors import InputError
 from msg_defs.types import Event, StepRecord
-from multi_robot_slam.bags.bag import BagReader, absolute
+from multi_robot_slam.bags import BagReader, absolute
 from multi_robot_slam.config import SECTION, Config
 from multi_robot_slam.pipeline import refinement
 from multi_robot_slam.pipeline.pipeline import Pipeline

@@ -24,7 +24,7 @@ from msg_defs.types import (
     Trajectory,
     Walls,
 )
-from multi_robot_slam.bags.bag import BagReader, BagWriter, absolute
+from multi_robot_slam.bags import BagReader, BagWriter, absolute
 from multi_robot_slam.config import SECTION, Config
 from multi_robot_slam.runs.trajectory_errors import sampled
 

@@ -33,8 +33,8 @@ from rosbags.typesys import Stores, get_typestore
 from msg_defs import topics, wire
 from msg_defs.errors import InputError
 from msg_defs.types import LandmarkMap, PoseSample, Trajectory
-from multi_robot_slam.bags import bag as bags
-from multi_robot_slam.bags.bag import BagReader, BagWriter
+from multi_robot_slam.bags import BagReader, BagWriter, absolute
+from multi_robot_slam.bags import writer as writing
 
 START = 1_700_000_000_000_000_000
 ROBOTS = ("robot_1", "robot_2")
@@ -106,7 +106,7 @@ class TestRoundTrip:
 
     def test_order_holds_across_chunks(self, tmp_path, monkeypatch):
         """Equal stamps keep the order written, late messages move to their time."""
-        monkeypatch.setattr(bags, "CHUNK_BYTES", 2000)
+        monkeypatch.setattr(writing, "CHUNK_BYTES", 2000)
         stamps = [5, 5, 9, 5, 1, 9, 5, 1] * 20
         written = [
             (topics.odometry(ROBOTS[i % 2]), s, bytes([i]) * 300) for i, s in enumerate(stamps)
@@ -134,6 +134,18 @@ class TestRoundTrip:
     def test_an_empty_bag(self, tmp_path):
         reader = BagReader(write(tmp_path / "run", []))
         assert (list(reader), reader.warnings) == ([], [])
+
+    def test_an_exception_leaves_what_was_written_and_says_that_it_breaks_off(self, tmp_path):
+        with pytest.raises(ZeroDivisionError), BagWriter(tmp_path / "run") as bag:
+            for message in recording():
+                bag.write(*message)
+            raise ZeroDivisionError
+        reader = BagReader(tmp_path / "run")
+        assert list(reader) == as_read(recording())
+        (warning,) = reader.warnings
+        assert "breaks off: its recorder was killed or failed" in warning
+        bag.close()
+        assert BagReader(tmp_path / "run").warnings == [warning]
 
     def test_close_twice(self, tmp_path):
         writer = BagWriter(tmp_path / "run")
@@ -243,7 +255,7 @@ def write_with_rosbags(folder, messages, storage, compression=None):
                     False,
                 )
                 connections[topic] = writer.add_connection(
-                    bags.absolute(topic.name),
+                    absolute(topic.name),
                     topic.type,
                     typestore=store,
                     offered_qos_profiles=[qos],
@@ -273,7 +285,7 @@ class TestOthersWriteIt:
         reader = BagReader(write_with_rosbags(tmp_path / "run", tangled(), storage, compression))
         assert list(reader) == as_read(tangled())
         assert reader.warnings == []
-        assert reader.summary.count == 200
+        assert reader.summary.message_count == 200
         assert reader.summary.span_ns == (0, 4)
         latched = {topic.name for topic in reader.summary.topics if topic.qos == topics.LATCHED}
         assert latched == {"/fusion/config"}
@@ -309,7 +321,7 @@ class TestOthersWriteIt:
             writer.finish()
         reader = BagReader(path)
         assert [record.stamp_ns for record in reader] == [1, 2, 3]
-        assert (reader.summary.count, reader.summary.span_ns) == (3, (1, 3))
+        assert (reader.summary.message_count, reader.summary.span_ns) == (3, (1, 3))
         assert (reader.warnings, reader.found()) == ([], "/robot_1/odom")
 
 
@@ -327,8 +339,8 @@ class TestKilled:
         writer.close()
 
     def test_messages_are_flushed_as_time_passes(self, tmp_path, monkeypatch):
-        clock = iter(np.arange(1, 1000) * 2 * bags.FLUSH_PERIOD_S)
-        monkeypatch.setattr(bags.time, "monotonic", lambda: next(clock))
+        clock = iter(np.arange(1, 1000) * 2 * writing.FLUSH_PERIOD_S)
+        monkeypatch.setattr(writing.time, "monotonic", lambda: next(clock))
         with BagWriter(tmp_path / "run") as writer:
             for count, message in enumerate(recording(), start=1):
                 writer.write(*message)
@@ -364,7 +376,7 @@ class TestKilled:
 
     def test_cut_anywhere(self, tmp_path, monkeypatch):
         """A prefix of the messages is left, the longer the later the cut, and never half a one."""
-        monkeypatch.setattr(bags, "CHUNK_BYTES", 1000)
+        monkeypatch.setattr(writing, "CHUNK_BYTES", 1000)
         written = [(topics.odometry("robot_1"), i, bytes([i]) * 600) for i in range(30)]
         data = mcap_file(write(tmp_path / "run", written)).read_bytes()
         cut = tmp_path / "cut.mcap"

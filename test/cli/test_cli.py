@@ -7,7 +7,7 @@ import pytest
 import recordings
 
 from msg_defs import scenario_file, topics, wire
-from multi_robot_slam.bags.bag import BagReader, BagWriter
+from multi_robot_slam.bags import BagReader, BagWriter
 from multi_robot_slam.config import SECTION, Config
 
 

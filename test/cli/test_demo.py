@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from msg_defs import scenario_file, topics, wire
-from multi_robot_slam.bags.bag import BagReader
+from multi_robot_slam.bags import BagReader
 from multi_robot_slam.cli import demo
 from multi_robot_slam.config import SECTION, Config
 from sim_world.scenario import SECTION as WORLD_SECTION

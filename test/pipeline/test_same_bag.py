@@ -13,7 +13,7 @@ import worlds
 
 from msg_defs import topics, wire
 from msg_defs.types import PoseSample
-from multi_robot_slam.bags.bag import BagReader, absolute
+from multi_robot_slam.bags import BagReader, absolute
 from multi_robot_slam.filter import rbpf
 from multi_robot_slam.filter.settings import NO_REJUVENATION
 from multi_robot_slam.pipeline import offline

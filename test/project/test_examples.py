@@ -6,7 +6,7 @@ import pytest
 import recordings
 
 from msg_defs import wire
-from multi_robot_slam.bags.bag import BagReader
+from multi_robot_slam.bags import BagReader
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 

@@ -10,7 +10,7 @@ import pytest
 from msg_defs import scenario_file, topics, wire
 from msg_defs.errors import InputError
 from msg_defs.types import ObservationTruth, PoseSample, Trajectory
-from multi_robot_slam.bags.bag import BagWriter
+from multi_robot_slam.bags import BagWriter
 from multi_robot_slam.config import SECTION, Config
 from multi_robot_slam.runs import run as runs
 from multi_robot_slam.runs.evaluation import evaluate
