@@ -11,7 +11,7 @@ from msg_defs.types import (
     Walls,
 )
 from multi_robot_slam.config import Config
-from multi_robot_slam.runs.run import RobotRun, Run
+from multi_robot_slam.runs import RobotRun, Run
 
 PERIOD_NS = 100_000_000
 

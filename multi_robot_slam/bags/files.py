@@ -97,8 +97,8 @@ class McapFile:
         first, last = span_ns or (0, 0)
         return (
             f"{self.path} breaks off: its recorder was killed or failed, or it was cut; "
-            f"{count} messages over {(last - first) / 1e9:.1f} s are read, {self.size - used} bytes after them "
-            "hold no whole one"
+            f"{count} messages over {(last - first) / 1e9:.1f} s are read, "
+            f"{self.size - used} bytes after them hold no whole one"
         )
 
     @cached_property

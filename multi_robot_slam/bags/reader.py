@@ -56,6 +56,13 @@ class BagReader:
         for record in self.records(by_name.keys()):
             yield by_name[record.topic], record.data
 
+    def by_topic(self, wanted: Collection[Topic], namespace: str = "") -> dict[Topic, list[bytes]]:
+        """All messages of each topic that is `wanted`, by time (`only`)."""
+        messages: dict[Topic, list[bytes]] = {topic: [] for topic in wanted}
+        for topic, data in self.only(wanted, namespace):
+            messages[topic].append(data)
+        return messages
+
     def find_namespace(self, wanted: Collection[Topic], chosen: str | None = None) -> str:
         """In which namespace the topics `wanted` were recorded; the root is the empty string.
 

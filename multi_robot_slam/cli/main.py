@@ -22,11 +22,11 @@ from rich.progress import (
 
 from msg_defs import cli, scenario_file, topics
 from msg_defs.errors import InputError
+from multi_robot_slam import runs
 from multi_robot_slam.bags import BagReader
 from multi_robot_slam.config import SECTION, Config
 from multi_robot_slam.pipeline import offline
 from multi_robot_slam.runs import evaluation, evaluation_table
-from multi_robot_slam.runs import run as runs
 
 app = typer.Typer(
     help="Multi-robot visual SLAM: one landmark map and all robots' paths.",

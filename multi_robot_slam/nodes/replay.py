@@ -15,8 +15,7 @@ from msg_defs.errors import InputError
 from msg_defs.ros import node
 from msg_defs.topics import SENSOR, Topic
 from msg_defs.types import settings
-from multi_robot_slam.bags import playback
-from multi_robot_slam.bags import BagReader, Record, absolute
+from multi_robot_slam.bags import BagReader, Record, absolute, playback
 
 CLOCK = Topic("/clock", "rosgraph_msgs/msg/Clock", SENSOR)
 

@@ -1,17 +1,20 @@
 """Bag in, estimates out, as fast as the filter goes; no ROS."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
 from msg_defs import scenario_file, topics, wire
 from msg_defs.errors import InputError
+from msg_defs.topics import Topic
 from msg_defs.types import Event, StepRecord
+from multi_robot_slam import runs
 from multi_robot_slam.bags import BagReader, absolute
 from multi_robot_slam.config import SECTION, Config
 from multi_robot_slam.pipeline import refinement
 from multi_robot_slam.pipeline.pipeline import Pipeline
-from multi_robot_slam.runs import run as runs
+
+OnStep = Callable[[StepRecord], None]
 
 
 def _raise(error: InputError) -> None:
@@ -19,21 +22,28 @@ def _raise(error: InputError) -> None:
 
 
 def events(
-    bag: Path, config: Config, refuse: Callable[[InputError], None] = _raise
+    bag: Path,
+    config: Config,
+    refuse: Callable[[InputError], None] = _raise,
+    namespace: str | None = None,
 ) -> Iterator[Event]:
     """What the robots of `config` sent, in the order it was recorded.
 
-    `InputError` when the bag has none; `refuse` is called for each message that is damaged or
-    not what its topic says.
+    Parameters
+    ----------
+    refuse : called for each message that is damaged or not what its topic says.
+    namespace : in which the robots were recorded, `/fleet`; the root is `/`. By default the only
+        one in which odometry or observations of theirs are.
+
+    Raises
+    ------
+    InputError : there is nothing of them in the bag, or in several namespaces.
+
     """
-    decoders = {}
-    for robot in config.robots:
-        decoders[topics.odometry(robot)] = (robot, wire.decode_pose)
-        decoders[topics.observations(robot)] = (robot, wire.decode_observations)
-        if config.sightings:
-            decoders[topics.sightings(robot)] = (robot, wire.decode_sightings)
+    decoders = _decoders(config)
     reader, found = BagReader(bag), set()
-    for topic, data in reader.only(decoders):
+    where = reader.find_namespace(_inputs(config), namespace)
+    for topic, data in reader.only(decoders.keys(), where):
         robot, decode = decoders[topic]
         found.add(topic)
         try:
@@ -45,14 +55,37 @@ def events(
     if not any({topics.odometry(r), topics.observations(r)} <= found for r in config.robots):
         raise InputError(
             f"{bag} has nothing to estimate from: expected "
-            f"{', '.join(absolute(topic.name) for topic in decoders)}; its topics are "
+            f"{', '.join(absolute(topic.name, where) for topic in decoders)}; its topics are "
             f"{reader.found()}; record these topics, or name the robots in the configuration"
         )
 
 
-def recorded_config(bag: Path) -> Config | None:
-    """The configuration the fusion published while the bag was recorded, if there was one."""
-    for _, data in BagReader(bag).only([topics.FUSION_CONFIG]):
+def _decoders(config: Config) -> dict[Topic, tuple[str, Callable[[bytes, str], Event]]]:
+    """Topic -> whose it is, and what reads its messages."""
+    kinds: list[tuple[Callable[[str], Topic], Callable[[bytes, str], Event]]] = [
+        (topics.odometry, wire.decode_pose),
+        (topics.observations, wire.decode_observations),
+    ]
+    if config.sightings:
+        kinds.append((topics.sightings, wire.decode_sightings))
+    return {kind(robot): (robot, decode) for robot in config.robots for kind, decode in kinds}
+
+
+def _inputs(config: Config) -> list[Topic]:
+    """The topics by which a namespace is known."""
+    kinds = (topics.odometry, topics.observations)
+    return [kind(robot) for robot in config.robots for kind in kinds]
+
+
+def recorded_config(bag: Path, namespace: str | None = None) -> Config | None:
+    """The configuration the fusion published while the bag was recorded, if there was one.
+
+    `namespace` is that of the fusion; by default the only one in which there is a configuration,
+    and `InputError` where there are several.
+    """
+    reader = BagReader(bag)
+    where = reader.find_namespace([topics.FUSION_CONFIG], namespace)
+    for _, data in reader.only([topics.FUSION_CONFIG], where):
         return scenario_file.from_yaml(Config, wire.decode_text(data), SECTION, str(bag))
     return None
 
@@ -61,8 +94,10 @@ def estimate(
     bag: Path,
     config: Config,
     warn: Callable[[str], None],
-    on_step: Callable[[StepRecord], None] = lambda step: None,
+    on_step: OnStep = lambda step: None,
     refine: bool = False,
+    namespace: str | None = None,
+    scenario: str | None = None,
 ) -> runs.Run:
     """Run the filter over the bag.
 
@@ -71,37 +106,51 @@ def estimate(
     warn : called with a line for each message that is dropped.
     on_step : called with each step as it is done.
     refine : whether to smooth over the best particle's associations at the end.
+    namespace : in which the team was recorded (`events`).
+    scenario : name or file of the scenario that `config` comes from, for `result.json`.
     """
     pipeline = Pipeline(config, warn)
+    where = BagReader(bag).find_namespace(_inputs(config), namespace)
+    steps = run_through(pipeline, events(bag, config, pipeline.refuse, where), on_step)
+    run = assemble(pipeline, runs.recorded(bag, config.robots, where), steps)
+    run = replace(run, provenance=runs.here(scenario))
+    return refinement.complete(run, pipeline, with_refined=refine)
+
+
+def run_through(
+    pipeline: Pipeline, sent: Iterable[Event], on_step: OnStep = lambda step: None
+) -> list[StepRecord]:
+    """Feed the pipeline with all events that were `sent`, and end it; the steps."""
     steps = []
-    for event in events(bag, config, pipeline.refuse):
+    for event in sent:
         done = pipeline.handle(event)
         for step in done:
             on_step(step)
         steps += done
-    steps += pipeline.finish()
-    run = runs.assemble(
-        config,
-        runs.recorded(bag, config.robots),
+    return steps + pipeline.finish()
+
+
+def assemble(pipeline: Pipeline, recording: runs.Recorded, steps: list[StepRecord]) -> runs.Run:
+    """The run of a pipeline that has ended: what it made in these `steps` of the recording."""
+    return runs.assemble(
+        pipeline.config,
+        recording,
         steps,
         pipeline.trajectories(),
         pipeline.landmark_map(),
         pipeline.dropped,
     )
-    return refinement.complete(run, pipeline, with_refined=refine)
 
 
-def load(folder: Path) -> runs.Run:
+def load(folder: Path, namespace: str | None = None) -> runs.Run:
     """The run in `folder` (`runs.load`), with the yardstick where the associations are known.
 
     An offline run has it with it. A live one's needs the frames and not the estimates: one particle
     puts them in order.
     """
-    run = runs.load(folder)
-    if runs.is_offline(folder) or not run.observation_truth:
+    run = runs.load(folder, namespace)
+    if runs.is_offline(folder) or not run.observation_truth or run.bag is None:
         return run
     pipeline = Pipeline(replace(run.config, filter=replace(run.config.filter, particles=1)))
-    for event in events(run.bag, run.config, pipeline.refuse):
-        pipeline.handle(event)
-    pipeline.finish()
+    run_through(pipeline, events(run.bag, run.config, pipeline.refuse, run.namespace))
     return refinement.with_yardstick(run, pipeline.lineage())

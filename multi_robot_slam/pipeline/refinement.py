@@ -11,7 +11,7 @@ from multi_robot_slam.models import stereo
 from multi_robot_slam.models.frames import Record
 from multi_robot_slam.models.motion import wrap
 from multi_robot_slam.pipeline.pipeline import Pipeline
-from multi_robot_slam.runs.run import Run
+from multi_robot_slam.runs import Run
 from multi_robot_slam.smoothing import joining, solve
 from multi_robot_slam.smoothing.odometry_scale import Scales, learn
 from multi_robot_slam.smoothing.problem import Problem, problem_of
@@ -60,10 +60,10 @@ def complete(run: Run, pipeline: Pipeline, with_refined: bool = False) -> Run:
 
 def with_yardstick(run: Run, lineage: Lineage) -> Run:
     """The run with the yardstick, if all associations are known and the frames not too many."""
-    batch = None
+    paths = None
     if len(lineage) <= MAX_FRAMES:
-        batch = yardstick(lineage, run.observation_truth, run.config)
-    return run if batch is None else run.with_paths(batch=batch)
+        paths = yardstick(lineage, run.observation_truth, run.config)
+    return run if paths is None else run.with_paths(yardstick=paths)
 
 
 def refine(lineage: Lineage, landmarks: LandmarkMap, config: Config) -> Refined:

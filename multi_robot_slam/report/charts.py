@@ -9,8 +9,8 @@ from plotly.subplots import make_subplots
 from msg_defs.types import Estimate, Trajectory
 from multi_robot_slam.report.scene import NEUTRAL, SIGMAS, colours
 from multi_robot_slam.report.timeline import Timeline, first_rows, grouped, thinned
-from multi_robot_slam.runs.evaluation import RobotErrors, robot_errors
-from multi_robot_slam.runs.run import Run
+from multi_robot_slam.runs import Run
+from multi_robot_slam.runs.robot_errors import RobotErrors, robot_errors
 from multi_robot_slam.runs.trajectory_errors import PoseErrors, pose_errors
 
 REJECTED = "#C0392B"

@@ -11,8 +11,7 @@ from msg_defs.errors import InputError
 from multi_robot_slam.config import SECTION
 from multi_robot_slam.report import charts, scene
 from multi_robot_slam.report.timeline import Timeline, timeline
-from multi_robot_slam.runs import evaluation_table
-from multi_robot_slam.runs.run import Run
+from multi_robot_slam.runs import Run, evaluation_table
 
 FILE = "report.html"
 

@@ -16,9 +16,10 @@ from matplotlib.lines import Line2D
 
 from msg_defs.errors import InputError
 from msg_defs.types import LandmarkMap
+from multi_robot_slam.runs import RobotRun, Run
 from multi_robot_slam.runs.colours import ROBOT_COLOURS
-from multi_robot_slam.runs.evaluation import PoseErrors, odometry_in_map, rmse, robot_errors
-from multi_robot_slam.runs.run import RobotRun, Run
+from multi_robot_slam.runs.robot_errors import odometry_in_map, robot_errors
+from multi_robot_slam.runs.trajectory_errors import PoseErrors, rmse
 
 ROBOT_LINES = ("-", "--", "-.", ":")
 """Line styles of the robots in the error figure, as in the paper."""

@@ -8,9 +8,9 @@ import plotly.graph_objects as go
 
 from msg_defs.types import FrameRecord, LandmarkMap, Trajectory, Walls
 from multi_robot_slam.report.timeline import Timeline, newest_rows, thinned
+from multi_robot_slam.runs import RobotRun, Run
 from multi_robot_slam.runs.colours import ROBOT_COLOURS
-from multi_robot_slam.runs.evaluation import odometry_in_map
-from multi_robot_slam.runs.run import RobotRun, Run
+from multi_robot_slam.runs.robot_errors import odometry_in_map
 
 MOST_LANDMARKS = 6000
 """Shown in the scene; of more, those observed most often."""

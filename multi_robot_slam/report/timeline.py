@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multi_robot_slam.runs.run import Run
+from multi_robot_slam.runs import Run
 
 MOST_SAMPLES = 2000
 """Of one curve or path, and of the slider."""

@@ -11,8 +11,9 @@ from rich.text import Text
 from msg_defs import scenario_file
 from msg_defs.errors import InputError
 from multi_robot_slam.config import SECTION
-from multi_robot_slam.runs import run as runs
+from multi_robot_slam.runs import result
 from multi_robot_slam.runs.evaluation_table import empty, number, titles
+from multi_robot_slam.runs.run import TEAM
 
 HIGHER_IS_BETTER = {"association_precision", "association_recall"}
 NOT_JUDGED = {"landmarks", "landmarks_seen", "pose_nees", "landmark_nees", "refined_landmark_nees"}
@@ -37,7 +38,7 @@ class Comparison:
     @property
     def bags(self) -> tuple:
         """Of which recordings the runs are."""
-        return self.figures.get((runs.TEAM, "bag"), (None,) * len(self.folders))
+        return self.figures.get((TEAM, "bag"), (None,) * len(self.folders))
 
 
 def compare(folders: Sequence[Path]) -> Comparison:
@@ -48,7 +49,7 @@ def compare(folders: Sequence[Path]) -> Comparison:
     joined = _joined([dict(config) for config in configured])
     return Comparison(
         folders=tuple(folders),
-        figures=_joined([runs.flat(runs.figures_in(folder)) for folder in folders]),
+        figures=_joined([result.flat(result.figures_in(folder)) for folder in folders]),
         settings={name: values for name, values in joined.items() if not _same(values)},
     )
 
@@ -82,8 +83,19 @@ def notes(compared: Comparison) -> list[str]:
     lines = []
     if not _same(compared.bags):
         lines.append("of different recordings: " + _listed(compared.bags))
+    machines = [_machine(compared, row) for row in range(len(compared.folders))]
+    if not _same(tuple(machines)):
+        lines.append("on different machines: " + _listed(tuple(machines)))
     lines += [f"{name}: {_listed(values)}" for name, values in compared.settings.items()]
     return lines
+
+
+def _machine(compared: Comparison, row: int) -> str | None:
+    """Processor and cores of the run in this row, on which only its times depend."""
+    names = (f"{result.MACHINE}processor", f"{result.MACHINE}cores")
+    values = [compared.figures.get((TEAM, name)) for name in names]
+    known = [str(value[row]) for value in values if value is not None and value[row] is not None]
+    return ", ".join(known) or None
 
 
 def _listed(values: tuple) -> str:

@@ -11,11 +11,12 @@ import numpy as np
 
 from msg_defs.errors import InputError
 from msg_defs.types import LandmarkMap, Trajectory
+from multi_robot_slam.models import stereo
 from multi_robot_slam.models.motion import MotionSettings, increment, spread
-from multi_robot_slam.runs import run as runs
 from multi_robot_slam.runs.colours import ROBOT_COLOURS
-from multi_robot_slam.runs.evaluation import odometry_in_map
-from multi_robot_slam.runs.run import Run
+from multi_robot_slam.runs.robot_errors import odometry_in_map
+from multi_robot_slam.runs.run import EMPTY, Run
+from multi_robot_slam.runs.text_files import to_tum
 from multi_robot_slam.runs.trajectory_errors import at, sampled
 
 STANDING_VARIANCE = 1e-10
@@ -51,13 +52,11 @@ def tum(run: Run, folder: Path) -> list[str]:
             "odometry": odometry_in_map(robot),
             "mean": robot.mean,
             "refined": robot.refined,
-            "truth": runs.EMPTY
-            if robot.truth is None
-            else sampled(robot.truth, robot.path.stamps_ns),
+            "truth": EMPTY if robot.truth is None else sampled(robot.truth, robot.path.stamps_ns),
         }
         for kind, path in paths.items():
             if len(path.stamps_ns):
-                (folder / f"{kind}_{name}.tum").write_text(runs.to_tum(path))
+                (folder / f"{kind}_{name}.tum").write_text(to_tum(path))
                 written.append(f"{kind} of {name}")
     return written
 
@@ -70,7 +69,9 @@ def g2o(run: Run, file: Path) -> list[str]:
     VERTEX_XY for every landmark, after the poses.
     """
     landmarks, paths = _best(run)
-    vertices, edges, told = [], [], []
+    vertices: list[str] = []
+    edges: list[str] = []
+    told: list[str] = []
     for name, path in paths.items():
         if len(path.stamps_ns):
             first = len(vertices)
@@ -135,7 +136,8 @@ def ply(run: Run, file: Path) -> list[str]:
             *(pose_points(path, index) for index, path in enumerate(paths.values())),
         ]
     )
-    lines = [f"property {_PLY_TYPES[POINT[name].str]} {name}" for name in POINT.names]
+    names = POINT.names or ()
+    lines = [f"property {_PLY_TYPES[POINT[name].str]} {name}" for name in names]
     head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}", *lines]
     file.write_bytes("\n".join([*head, "end_header\n"]).encode() + points.tobytes())
     return [
@@ -150,8 +152,8 @@ def landmark_points(landmarks: LandmarkMap) -> np.ndarray:
     for axis, values in zip("xyz", landmarks.positions.T, strict=True):
         points[axis] = values
     points["red"], points["green"], points["blue"] = LANDMARK_COLOUR
-    covariances = landmarks.covariances[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
-    points["sigma"] = np.sqrt(np.linalg.eigvalsh(covariances.astype(float))[:, -1])
+    covariances = stereo.unpack(landmarks.covariances)
+    points["sigma"] = np.sqrt(np.linalg.eigvalsh(covariances)[:, -1])
     points["landmark"] = landmarks.ids
     points["robot"] = -1
     return points
@@ -180,9 +182,11 @@ FORMATS: dict[str, Callable[[Run, Path], list[str]]] = {"tum": tum, "g2o": g2o, 
 
 
 def export(run: Run, name: str, out: Path) -> list[str]:
-    """Write `run` in one of FORMATS; what was written and left out, in lines."""
+    """Write `run` in one of FORMATS to `out`, which must not exist; what it holds, in lines."""
     if name not in FORMATS:
         raise InputError(f"unknown format '{name}': export to {', '.join(FORMATS)}")
+    if out.exists():
+        raise InputError(f"{out} exists; remove it or choose another with --out")
     try:
         return FORMATS[name](run, out)
     except OSError as error:

@@ -19,8 +19,7 @@ from multi_robot_slam.config import SECTION, Config
 from multi_robot_slam.filter.settings import FilterSettings
 from multi_robot_slam.pipeline import refinement
 from multi_robot_slam.pipeline.pipeline import Pipeline
-from multi_robot_slam.runs import evaluation
-from multi_robot_slam.runs.run import Run
+from multi_robot_slam.runs import Run, evaluation
 from multi_robot_slam.runs.trajectory_errors import at, rmse
 from multi_robot_slam.studies import experiments, filtering_optimum
 from multi_robot_slam.studies.experiments import Base, Exploration

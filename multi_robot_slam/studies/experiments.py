@@ -14,12 +14,12 @@ import numpy as np
 from msg_defs import scenario_file
 from msg_defs.errors import InputError
 from msg_defs.types import LandmarkMap, Trajectory, Walls
+from multi_robot_slam import runs
 from multi_robot_slam.config import SECTION, Config
 from multi_robot_slam.filter.settings import NO_REJUVENATION, FilterSettings
 from multi_robot_slam.pipeline import refinement
 from multi_robot_slam.pipeline.pipeline import Pipeline
 from multi_robot_slam.runs import evaluation
-from multi_robot_slam.runs import run as runs
 from multi_robot_slam.studies import experiment_table
 from multi_robot_slam.studies.experiment_table import RESULTS, Result, Rows, Trial
 from sim_world.scenario import SECTION as WORLD_SECTION
@@ -275,7 +275,7 @@ def _result(
     exploration: Exploration, batch: dict[str, Trajectory], base: Base, trial: Trial
 ) -> Result:
     run, _ = estimate(exploration, filter_of(base, trial))
-    figures = evaluation.evaluate(run.with_paths(batch=batch))
+    figures = evaluation.evaluate(run.with_paths(yardstick=batch))
     return {name: figures[name] for name in RESULTS}
 
 

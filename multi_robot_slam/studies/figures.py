@@ -21,8 +21,8 @@ from msg_defs.types import CameraMount, ObservationSet
 from multi_robot_slam.models import stereo
 from multi_robot_slam.report import plots
 from multi_robot_slam.report.plots import DPI
+from multi_robot_slam.runs import Run
 from multi_robot_slam.runs.colours import ROBOT_COLOURS
-from multi_robot_slam.runs.run import Run
 from multi_robot_slam.studies.experiment_table import Result, Rows, Trial
 
 MARKERS = {1: "o", 2: "s", 3: "^"}

@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 
 from msg_defs.types import LandmarkMap
+from multi_robot_slam import runs
 from multi_robot_slam.config import Config
 from multi_robot_slam.datasets import bag, mrclam
 from multi_robot_slam.filter.settings import FilterSettings
 from multi_robot_slam.pipeline import offline, refinement
 from multi_robot_slam.pipeline.pipeline import Pipeline
 from multi_robot_slam.runs import evaluation
-from multi_robot_slam.runs import run as runs
 from multi_robot_slam.runs.trajectory_errors import alignment, at, covers, rmse, rotation
 from multi_robot_slam.studies import filtering_optimum
 

@@ -136,10 +136,16 @@ class TestRoundTrip:
         assert (list(reader), reader.warnings) == ([], [])
 
     def test_an_exception_leaves_what_was_written_and_says_that_it_breaks_off(self, tmp_path):
-        with pytest.raises(ZeroDivisionError), BagWriter(tmp_path / "run") as bag:
-            for message in recording():
-                bag.write(*message)
-            raise ZeroDivisionError
+        bag = BagWriter(tmp_path / "run")
+
+        def fail():
+            with bag:
+                for message in recording():
+                    bag.write(*message)
+                raise ZeroDivisionError
+
+        with pytest.raises(ZeroDivisionError):
+            fail()
         reader = BagReader(tmp_path / "run")
         assert list(reader) == as_read(recording())
         (warning,) = reader.warnings

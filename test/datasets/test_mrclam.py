@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from mrclam_recording import LANDMARKS, START, lines, true_pose
 
+from multi_robot_slam import runs
 from multi_robot_slam.datasets import mrclam
 from multi_robot_slam.pipeline import offline
-from multi_robot_slam.runs import run as runs
 
 
 @pytest.fixture(scope="module")

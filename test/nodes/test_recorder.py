@@ -108,8 +108,9 @@ def test_a_killed_recorder_loses_less_than_a_second(spawn, tmp_path, command):
     scenario.write_text(team_scenario("calibrated", 2) + "  filter: {particles: 5}\n")
     code, _, said = command("run", bag, "--scenario", scenario, "--out", tmp_path / "out")
     assert code == 0
-    assert f"breaks off: its recorder was killed or failed, or it was cut; {count} messages over" in " ".join(
-        said.split()
+    assert (
+        f"breaks off: its recorder was killed or failed, or it was cut; {count} messages over"
+        in " ".join(said.split())
     )
 
 

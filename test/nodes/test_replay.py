@@ -13,8 +13,7 @@ import recordings
 from msg_defs import scenario_file, topics, wire
 from msg_defs.errors import InputError
 from msg_defs.topics import LATCHED, STREAM, Topic
-from multi_robot_slam.bags import playback
-from multi_robot_slam.bags import BagReader, BagWriter, absolute
+from multi_robot_slam.bags import BagReader, BagWriter, absolute, playback
 from multi_robot_slam.config import SECTION
 from multi_robot_slam.pipeline import offline
 from multi_robot_slam.pipeline.pipeline import Pipeline

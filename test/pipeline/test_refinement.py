@@ -9,9 +9,9 @@ import recordings
 from scipy.stats import chi2
 
 from msg_defs.types import StereoCamera
+from multi_robot_slam import runs
 from multi_robot_slam.pipeline import offline, refinement
 from multi_robot_slam.pipeline.pipeline import Pipeline
-from multi_robot_slam.runs import run as runs
 from multi_robot_slam.smoothing import joining
 from sim_world.scenario import Scenario
 from sim_world.simulator import Simulation
@@ -207,7 +207,7 @@ def test_nothing_is_refined_to_nothing(explored):
 def test_completed_run_has_all_paths(explored):
     run = refinement.complete(explored.run, explored.pipeline, with_refined=True)
     for robot in run.robots.values():
-        for path in (robot.mean, robot.refined, robot.batch):
+        for path in (robot.mean, robot.refined, robot.yardstick):
             np.testing.assert_array_equal(path.stamps_ns, robot.path.stamps_ns)
     assert set(run.refined_landmarks.ids) <= set(run.landmarks.ids)
 
@@ -216,7 +216,7 @@ def test_run_too_long_to_smooth_is_told(explored, monkeypatch):
     monkeypatch.setattr(refinement, "MAX_FRAMES", 10)
     run = refinement.complete(explored.run, explored.pipeline, with_refined=True)
     assert run.refined_landmarks is None
-    assert len(run.robots["robot_1"].batch.stamps_ns) == 0
+    assert len(run.robots["robot_1"].yardstick.stamps_ns) == 0
     assert "10 are the most" in run.warnings[-1]
 
 
@@ -235,5 +235,5 @@ def test_live_run_has_the_yardstick_of_its_bag(tmp_path):
     _, config = recordings.record(tmp_path / "bag", is_live=True)
     live = offline.load(tmp_path / "bag")
     again = offline.estimate(tmp_path / "bag", config, warn=lambda text: None)
-    batch = {name: robot.batch for name, robot in live.robots.items()}
-    assert_same_paths(batch, {n: robot.batch for n, robot in again.robots.items()}, atol=1e-4)
+    batch = {name: robot.yardstick for name, robot in live.robots.items()}
+    assert_same_paths(batch, {n: robot.yardstick for n, robot in again.robots.items()}, atol=1e-4)

@@ -10,7 +10,7 @@ from matplotlib.image import imread
 from msg_defs.errors import InputError
 from msg_defs.types import Trajectory
 from multi_robot_slam.report import plots
-from multi_robot_slam.runs.run import Run
+from multi_robot_slam.runs import Run
 from test.helpers import fake_landmarks, fake_run, moved
 
 

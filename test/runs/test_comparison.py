@@ -8,8 +8,8 @@ import pytest
 from rich.console import Console
 
 from msg_defs.errors import InputError
+from multi_robot_slam import runs
 from multi_robot_slam.runs import comparison
-from multi_robot_slam.runs import run as runs
 from multi_robot_slam.runs.evaluation import evaluate
 from test.helpers import fake_run, moved
 

@@ -11,9 +11,17 @@ from rich.console import Console
 
 from msg_defs.errors import InputError
 from msg_defs.types import LandmarkMap, Trajectory
-from multi_robot_slam.runs import evaluation, evaluation_table
-from multi_robot_slam.runs.evaluation import evaluate
-from multi_robot_slam.runs.run import RobotRun, Run
+from multi_robot_slam.runs import (
+    RobotRun,
+    Run,
+    associations,
+    consistency,
+    evaluation_table,
+    provenance,
+    robot_errors,
+    trajectory_errors,
+)
+from multi_robot_slam.runs.evaluation import PREFIXES, evaluate
 from test.helpers import PERIOD_NS, fake_frame, fake_run, fake_step, moved
 
 PATHS = ("", "odometry_", "online_", "online_mean_", "mean_", "refined_", "batch_")
@@ -35,9 +43,11 @@ RESULT_KEYS = ROBOT_KEYS | {
     "landmark_nees",
     "map_rmse_m",
     "map_aligned_rmse_m",
+    "map_all_rmse_m",
     "refined_landmark_nees",
     "refined_map_rmse_m",
     "refined_map_aligned_rmse_m",
+    "refined_map_all_rmse_m",
     "landmarks",
     "landmarks_seen",
     "landmarks_by_majority",
@@ -51,6 +61,10 @@ RESULT_KEYS = ROBOT_KEYS | {
     "particles",
     "seed",
     "bag",
+    "namespace",
+    "version",
+    "scenario",
+    "machine",
     "dropped",
     "robots",
 }
@@ -82,7 +96,7 @@ def observed_run(frames: list[tuple[str, int, list, list, list]], landmarks: lis
     return replace(run, steps=records, observation_truth=truth, landmarks=estimated)
 
 
-LATER_PATHS = ("online_mean", "mean", "refined", "batch")
+LATER_PATHS = ("online_mean", "mean", "refined", "yardstick")
 
 
 def test_perfect_run_has_no_error():
@@ -119,7 +133,7 @@ def test_each_path_has_its_own_error(name):
     run = with_robots(fake_run(), lambda _, r: replace(r, **{name: moved(r.truth, (0, 2.0, 0))}))
     result = evaluate(run)
     for figures in (result, *result["robots"].values()):
-        assert figures[f"{name}_path_rmse_m"] == pytest.approx(2)
+        assert figures[f"{PREFIXES[name]}path_rmse_m"] == pytest.approx(2)
         assert figures["path_rmse_m"] == 0
 
 
@@ -129,15 +143,15 @@ def test_nees_of_honest_covariances_is_three():
     errors = (roots @ rng.standard_normal((20_000, 3, 1)))[:, :, 0]
     covariances = roots @ roots.transpose(0, 2, 1)
     tolerance = 5 * np.sqrt(2 * 3 / 20_000)
-    assert evaluation.nees(errors, covariances) == pytest.approx(3, abs=tolerance)
-    assert evaluation.nees(errors, covariances / 4) == pytest.approx(12, abs=4 * tolerance)
+    assert consistency.nees(errors, covariances) == pytest.approx(3, abs=tolerance)
+    assert consistency.nees(errors, covariances / 4) == pytest.approx(12, abs=4 * tolerance)
 
 
 def test_nees_leaves_out_what_claims_certainty():
     covariances = np.stack([np.eye(3), np.zeros((3, 3)), np.ones((3, 3)), np.diag([1.0, 1.0, 0])])
-    assert evaluation.nees(np.ones((4, 3)), covariances) == pytest.approx(3)
-    assert evaluation.nees(np.ones((3, 3)), covariances[1:]) is None
-    assert evaluation.nees(np.empty((0, 3)), np.empty((0, 3, 3))) is None
+    assert consistency.nees(np.ones((4, 3)), covariances) == pytest.approx(3)
+    assert consistency.nees(np.ones((3, 3)), covariances[1:]) is None
+    assert consistency.nees(np.empty((0, 3)), np.empty((0, 3, 3))) is None
 
 
 @pytest.mark.parametrize("turns", [-1, 0, 2])
@@ -220,7 +234,7 @@ def _odometry(path, scale, x, y, yaw):
 
 def test_odometry_is_composed_on_the_configured_start_without_truth():
     robot = fake_run(robots=2).robots["robot_2"]
-    in_map = evaluation.odometry_in_map(replace(robot, truth=None))
+    in_map = robot_errors.odometry_in_map(replace(robot, truth=None))
     np.testing.assert_allclose(in_map.poses[:, :2], robot.truth.poses[:, :2], atol=1e-12)
 
 
@@ -228,7 +242,7 @@ def test_odometry_starts_where_the_path_starts():
     robot = fake_run(robots=1).robots["robot_1"]
     late = Trajectory(robot.path.stamps_ns[5:], robot.path.poses[5:])
     start = robot.truth.poses[5] + np.array([1, 0, 0])
-    in_map = evaluation.odometry_in_map(replace(robot, path=late, truth=None, start_pose=start))
+    in_map = robot_errors.odometry_in_map(replace(robot, path=late, truth=None, start_pose=start))
     np.testing.assert_allclose(in_map.poses[5, :2], start[:2], atol=1e-12)
 
 
@@ -236,14 +250,14 @@ def test_truth_is_interpolated_with_the_yaw_the_short_way():
     truth = Trajectory(np.array([0, 100]), np.array([[0.0, 0.0, 3.0], [2.0, 4.0, -3.0]]))
     yaw = 3.0 + 0.25 * (2 * np.pi - 6.0)
     estimate = Trajectory(np.array([25]), np.array([[0.5, 1.0, yaw - 2 * np.pi]]))
-    np.testing.assert_allclose(evaluation.pose_errors(estimate, truth).errors, 0, atol=1e-12)
+    np.testing.assert_allclose(trajectory_errors.pose_errors(estimate, truth).errors, 0, atol=1e-12)
 
 
 def test_poses_outside_the_truth_are_left_out_unless_too_many():
     run = fake_run(robots=1, steps=20)
     truth = run.robots["robot_1"].truth
     part = Trajectory(truth.stamps_ns[4:14], truth.poses[4:14])
-    errors = evaluation.pose_errors(truth, part)
+    errors = trajectory_errors.pose_errors(truth, part)
     np.testing.assert_array_equal(errors.stamps_ns, part.stamps_ns)
     elsewhere = Trajectory(truth.stamps_ns + 11 * PERIOD_NS, truth.poses)
     with pytest.raises(InputError, match="path of robot_1: the ground truth covers 9 of 20"):
@@ -254,7 +268,7 @@ def test_absolute_stamps_lose_no_precision():
     stamps = 1_700_000_000_000_000_000 + np.arange(5)
     truth = Trajectory(stamps, np.column_stack([np.arange(5.0), np.zeros(5), np.zeros(5)]))
     estimate = Trajectory(stamps[1:2], np.zeros((1, 3)))
-    assert evaluation.pose_errors(estimate, truth).errors[0, 0] == -1.0
+    assert trajectory_errors.pose_errors(estimate, truth).errors[0, 0] == -1.0
 
 
 def test_association_of_a_hand_made_run():
@@ -309,6 +323,71 @@ def test_map_error_is_to_the_landmark_of_the_creating_observation():
     assert evaluate(run)["map_rmse_m"] == pytest.approx(expected)
 
 
+def with_duplicate(run: Run, off_m: float, observations: int) -> Run:
+    """The run with a second landmark of true landmark 0, id 99, that is `off_m` away."""
+    first, known = run.steps[0], run.landmarks
+    frame = first.frames[0]
+    frames = (fake_frame(frame.robot, [*frame.landmarks, 99], [*frame.is_new, True]),)
+    key = (frame.robot, first.stamp_ns)
+    truth = run.observation_truth | {key: np.append(run.observation_truth[key], np.uint32(0))}
+    place = run.true_landmarks.positions[:1] + np.float32([off_m, 0, 0])
+    landmarks = LandmarkMap(
+        ids=np.append(known.ids, np.uint32(99)),
+        positions=np.concatenate([known.positions, place]),
+        covariances=np.concatenate([known.covariances, known.covariances[:1] / 100]),
+        observations=np.append(known.observations, np.uint32(observations)),
+        robots=np.append(known.robots, np.uint32(1)),
+        descriptors=np.concatenate([known.descriptors, known.descriptors[:1]]),
+    )
+    steps = [replace(first, frames=(*frames, *first.frames[1:])), *run.steps[1:]]
+    return replace(run, landmarks=landmarks, steps=steps, observation_truth=truth)
+
+
+def test_a_duplicate_is_counted_and_is_no_part_of_the_map_error():
+    run = fake_run()  # its landmarks have been observed three times each
+    result = evaluate(with_duplicate(run, 9.0, observations=1))
+    assert result["duplicates"] == 1
+    assert result["map_rmse_m"] == 0
+    assert result["map_aligned_rmse_m"] == pytest.approx(0, abs=1e-6)
+    assert result["map_all_rmse_m"] == pytest.approx(9 / np.sqrt(len(run.landmarks.ids) + 1))
+
+
+@pytest.mark.parametrize("observations", [4, 3])
+def test_of_two_the_one_observed_most_often_counts_then_the_more_certain(observations):
+    run = fake_run()
+    result = evaluate(with_duplicate(run, 9.0, observations))
+    assert result["duplicates"] == 1
+    assert result["map_rmse_m"] == pytest.approx(9 / np.sqrt(len(run.landmarks.ids)))
+
+
+def test_map_error_is_that_of_landmarks_which_come_from_a_true_one():
+    run = observed_run([("robot_1", 0, [10], [True], [3])], landmarks=[10, 99])
+    places = run.true_landmarks.positions
+    assert evaluate(run)["map_rmse_m"] == pytest.approx(np.linalg.norm(places[3] - places[0]))
+
+
+def test_what_made_the_run_is_told():
+    run = replace(fake_run(), provenance=provenance.here("calibrated"))
+    result = evaluate(run)
+    assert (result["version"], result["scenario"]) == (provenance.version(), "calibrated")
+    assert result["machine"].keys() == {
+        *("platform", "processor", "cores", "python", "numpy", "numba"),
+    }
+    assert result["machine"]["numpy"] == np.__version__
+    assert json.loads(json.dumps(result, allow_nan=False)) == result
+
+
+def test_version_of_what_is_not_installed_is_unknown(monkeypatch):
+    def missing(name):
+        raise provenance.metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(provenance.metadata, "version", missing)
+    monkeypatch.setattr(provenance, "CPU_INFO", provenance.CPU_INFO / "nowhere")
+    assert provenance.version() == "unknown"
+    assert provenance.machine()["numba"] == "unknown"
+    assert provenance.machine()["processor"]
+
+
 def test_landmark_created_unseen_counts_for_the_majority_of_its_matches():
     run = observed_run(
         [
@@ -317,7 +396,7 @@ def test_landmark_created_unseen_counts_for_the_majority_of_its_matches():
         ],
         landmarks=[10, 20, 99],
     )
-    origin = evaluation.origins(evaluation.associations(run))
+    origin = associations.origins(associations.associations(run))
     assert origin.landmarks == {10: 0, 20: 1}
     assert origin.by_majority == {20}
     result = evaluate(run)
@@ -336,7 +415,7 @@ def test_truth_of_another_run_is_refused():
 def test_figures_are_null_without_truth():
     run = with_robots(fake_run(), lambda _, r: replace(r, truth=None))
     result = evaluate(replace(run, true_landmarks=None, walls=None, observation_truth={}))
-    known = {"landmarks", "steps", "particles", "seed"}
+    known = {"landmarks", "steps", "particles", "seed", "namespace"}
     known |= {"step_ms_mean", "step_ms_p99", "step_ms_max"}
     for key in RESULT_KEYS - {"robots", "dropped"}:
         assert (result[key] is not None) == (key in known), key

@@ -10,9 +10,9 @@ from evo.tools import file_interface
 
 from msg_defs.errors import InputError
 from msg_defs.types import Trajectory
+from multi_robot_slam import runs
 from multi_robot_slam.models.motion import increment, spread
 from multi_robot_slam.runs import exports
-from multi_robot_slam.runs import run as runs
 from test.helpers import fake_landmarks, fake_run, moved
 
 
@@ -123,10 +123,15 @@ def test_run_without_landmarks_or_truth_is_exported(tmp_path):
     [
         ("png", "out", "unknown format 'png'"),
         ("ply", "file/out", "cannot write"),
-        ("tum", "file", "cannot write"),
+        ("ply", "file", "exists; remove it or choose another"),
+        ("g2o", "file", "exists; remove it or choose another"),
+        ("tum", "folder", "exists; remove it or choose another"),
     ],
 )
 def test_what_cannot_be_written_is_refused(tmp_path, name, place, told):
-    (tmp_path / "file").touch()
+    (tmp_path / "file").write_text("precious")
+    (tmp_path / "folder").mkdir()
     with pytest.raises(InputError, match=told):
         exports.export(fake_run(), name, tmp_path / place)
+    assert (tmp_path / "file").read_text() == "precious"
+    assert not list((tmp_path / "folder").iterdir())

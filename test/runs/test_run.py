@@ -10,11 +10,11 @@ import pytest
 from msg_defs import scenario_file, topics, wire
 from msg_defs.errors import InputError
 from msg_defs.types import ObservationTruth, PoseSample, Trajectory
-from multi_robot_slam.bags import BagWriter
+from multi_robot_slam import runs
+from multi_robot_slam.bags import BagWriter, absolute
 from multi_robot_slam.config import SECTION, Config
-from multi_robot_slam.runs import run as runs
+from multi_robot_slam.runs import Run
 from multi_robot_slam.runs.evaluation import evaluate
-from multi_robot_slam.runs.run import Run
 from test.helpers import fake_run, moved
 
 MAP_COLUMNS = "id,x,y,z,cov_xx,cov_xy,cov_xz,cov_yy,cov_yz,cov_zz,observations,robots"
@@ -132,7 +132,7 @@ def later_known(run: Run) -> Run:
 
 
 def written_offline(run: Run, folder, bag) -> Run:
-    run = replace(later_known(run), bag=bag)
+    run = replace(later_known(run), bag=bag, provenance=runs.here("paper"))
     runs.write_estimates(run, folder)
     runs.write(run, evaluate(run), folder)
     return run
@@ -147,10 +147,11 @@ def test_offline_run_comes_back_from_its_folder(run, tmp_path):
         for path in ("odometry", "online", "path", "truth", *runs.LATER_PATHS):
             assert_same_path(getattr(read.robots[name], path), getattr(robot, path))
     np.testing.assert_array_equal(read.refined_landmarks.ids, written.refined_landmarks.ids)
+    assert read.provenance == written.provenance
     figures, again = evaluate(written), evaluate(read)
     assert again["bag"] == str(bag)
     for key, value in figures.items():
-        if key != "robots":
+        if key not in ("robots", "machine"):
             assert again[key] == pytest.approx(value, abs=1e-9), key
 
 
@@ -204,6 +205,104 @@ def test_bag_without_means_has_none(run, bag):
     read = runs.from_bag(bag)
     assert all(len(robot.online_mean.stamps_ns) == 0 for robot in read.robots.values())
     assert evaluate(read)["pose_nees"] is None
+
+
+FOREIGN = [
+    ("another node's status", [wire.Status("camera: fps", {"rate": "fast"})]),
+    ("a namesake without counts", [wire.Status("fusion", {"core temperature": "41 K"})]),
+    ("a namesake whose values are none", [wire.Status("fusion", {"dropped: pixels": "a few"})]),
+    ("a namesake that says nothing", [wire.Status("fusion", {})]),
+    ("a negative count", [wire.Status("fusion", {"dropped: late": "-3"})]),
+]
+
+
+@pytest.mark.parametrize("statuses", [s for _, s in FOREIGN], ids=[name for name, _ in FOREIGN])
+def test_other_nodes_diagnostics_are_passed_over(run, tmp_path, statuses):
+    """`/diagnostics` belongs to everybody."""
+    foreign = (topics.DIAGNOSTICS, wire.encode_diagnostics(0, statuses))
+    bag = write_bag(tmp_path / "bag", [*estimate_messages(run), foreign])
+    assert runs.from_bag(bag).dropped == {"late": 2}
+
+
+def test_diagnostics_that_cannot_be_read_are_passed_over(run, tmp_path):
+    broken = (topics.DIAGNOSTICS, b"\0\1\0\0\7")
+    bag = write_bag(tmp_path / "bag", [*estimate_messages(run), broken])
+    assert runs.from_bag(bag).dropped == {"late": 2}
+
+
+def test_a_live_fusion_that_dropped_nothing_more_is_heard(run, tmp_path):
+    nothing = wire.encode_diagnostics(0, [wire.Status("fusion", {"steps": "7"})])
+    bag = write_bag(tmp_path / "bag", [*estimate_messages(run), (topics.DIAGNOSTICS, nothing)])
+    assert runs.from_bag(bag).dropped == {}
+
+
+def in_namespace(messages: list, namespace: str) -> list:
+    return [(topic._replace(name=absolute(topic.name, namespace)), d) for topic, d in messages]
+
+
+@pytest.mark.parametrize("namespace", ["/fleet", "/site_1/fleet"])
+def test_a_live_run_in_a_namespace_comes_back(run, tmp_path, namespace):
+    messages = odometry_messages(run) + truth_messages(run) + estimate_messages(run)
+    read = runs.load(write_bag(tmp_path / "bag", in_namespace(messages, namespace)))
+    assert read.namespace == namespace
+    expected = evaluate(run)
+    result = evaluate(read)
+    assert result["namespace"] == namespace
+    for key in ("path_rmse_m", "odometry_path_rmse_m", "map_rmse_m", "landmarks_seen"):
+        assert result[key] == pytest.approx(expected[key], abs=1e-9), key
+
+
+def test_of_several_namespaces_one_must_be_chosen(run, tmp_path):
+    shorter = fake_run(robots=2, steps=7)
+    both = [
+        (absolute_in, message)
+        for absolute_in, own in (("/a", run), ("/b", shorter))
+        for message in odometry_messages(own) + truth_messages(own) + estimate_messages(own)
+    ]
+    messages = [in_namespace([message], namespace)[0] for namespace, message in both]
+    bag = write_bag(tmp_path / "bag", messages)
+    with pytest.raises(InputError, match=r"namespaces /a, /b; choose one: --namespace"):
+        runs.load(bag)
+    for chosen, own in (("/a", run), ("b", shorter)):
+        assert len(runs.load(bag, chosen).steps) == len(own.steps)
+        assert len(runs.recorded(bag, run.robots, chosen).observation_truth) == len(
+            own.observation_truth
+        )
+    with pytest.raises(InputError, match="/c/fusion/config not in it"):
+        runs.load(bag, "/c")
+
+
+def test_offline_run_of_a_recording_in_a_namespace_comes_back(run, tmp_path):
+    messages = odometry_messages(run) + truth_messages(run)
+    elsewhere = in_namespace(odometry_messages(run), "/other")
+    bag = write_bag(tmp_path / "bag", in_namespace(messages, "/fleet") + elsewhere)
+    written = replace(run, namespace="/fleet")
+    written_offline(written, tmp_path / "out", bag)
+    read = runs.load(tmp_path / "out")
+    assert read.namespace == "/fleet"
+    assert_same_path(read.robots["robot_1"].truth, run.robots["robot_1"].truth)
+
+
+def test_a_live_runs_result_tells_what_made_it(run, bag, tmp_path):
+    folder = tmp_path / "live"
+    folder.mkdir()
+    (folder / "bag").symlink_to(bag)
+    assert runs.load(folder).provenance is None
+    made = replace(runs.load(folder), provenance=runs.here("calibrated"))
+    runs.write(made, evaluate(made), folder)
+    assert runs.load(folder).provenance == made.provenance
+    (folder / "result.json").write_text("{half")
+    assert runs.load(folder).provenance is None
+
+
+def test_a_folder_that_is_no_run_is_told_what_one_is(tmp_path):
+    (tmp_path / "notes.txt").write_text("nothing")
+    with pytest.raises(InputError, match="is no run's folder") as error:
+        runs.load(tmp_path)
+    for word in ("estimates/", "bag/", "*.mcap", "`run`", "`demo`"):
+        assert word in str(error.value)
+    with pytest.raises(InputError, match="no such folder"):
+        runs.load(tmp_path / "nowhere")
 
 
 def test_bag_without_truth_gives_none_there(run, tmp_path):
@@ -284,16 +383,20 @@ def test_folder_holds_what_other_programs_read(run, tmp_path):
 
 
 def test_table_of_figures_holds_every_figure_of_team_and_robots(run, tmp_path):
+    run = replace(run, provenance=runs.here("paper"))
     figures = evaluate(run)
     runs.write(run, figures, tmp_path)
     rows = list(csv.DictReader((tmp_path / "figures.csv").read_text().splitlines()))
     read = {(row["robot"], row["figure"]): row["value"] for row in rows}
     assert len(read) == len(rows)
     for who, own in {"team": figures, **figures["robots"]}.items():
-        for name in own.keys() - {"robots", "dropped"}:
+        for name in own.keys() - {"robots", "dropped", "machine"}:
             expected = "" if own[name] is None else str(own[name])
             assert read.pop((who, name)) == expected
-    assert read == {("team", "dropped: late"): "2"}
+    machine = {f"machine: {name}": str(value) for name, value in figures["machine"].items()}
+    assert read == {
+        ("team", name): value for name, value in {"dropped: late": "2", **machine}.items()
+    }
 
 
 def test_written_truth_is_at_the_stamps_of_the_path(run, tmp_path):

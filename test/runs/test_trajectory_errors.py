@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from msg_defs.types import Trajectory
-from multi_robot_slam.runs import run as runs
+from multi_robot_slam import runs
 from multi_robot_slam.runs.evaluation import evaluate
 from multi_robot_slam.runs.trajectory_errors import (
     aligned,

@@ -1,0 +1,46 @@
+"""Whether the filter knows how wrong it is: normalised estimation errors (NEES)."""
+
+import numpy as np
+
+from multi_robot_slam.runs.run import Run
+from multi_robot_slam.runs.trajectory_errors import at, covers, wrap
+
+
+def nees(errors: np.ndarray, covariances: np.ndarray) -> float | None:
+    """Average normalised estimation error squared of (n, 3) `errors`, 3 if (n, 3, 3) are right.
+
+    A singular covariance claims certainty, which no error can be held to: it is left out. So is
+    the known start, and the spread of three particles or fewer. None if nothing is left.
+    """
+    regular = np.linalg.matrix_rank(covariances, hermitian=True) == errors.shape[1]
+    if not regular.any():
+        return None
+    errors, covariances = errors[regular], covariances[regular]
+    whitened = np.linalg.solve(covariances, errors[:, :, None])[:, :, 0]
+    return float(np.mean(np.sum(errors * whitened, axis=1)))
+
+
+def published_errors(run: Run) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Errors (T, 3) and covariances (T, 3, 3) of the means as published, where the truth is known.
+
+    Of each robot; T counts the steps after which its mean was published.
+    """
+    found = {}
+    for name, robot in run.robots.items():
+        estimates = [
+            estimate
+            for step in run.steps
+            for estimate in step.estimates
+            if estimate.robot == name and estimate.mean is not None
+        ]
+        stamps = np.array([estimate.stamp_ns for estimate in estimates], np.int64)
+        means = np.array([estimate.mean for estimate in estimates]).reshape(-1, 3)
+        covariances = np.array([e.covariance for e in estimates]).reshape(-1, 3, 3)
+        if robot.truth is None:
+            found[name] = means[:0], covariances[:0]
+            continue
+        known = covers(robot.truth, stamps)
+        errors = means[known] - at(robot.truth, stamps[known]) if known.any() else means[:0]
+        errors[:, 2] = wrap(errors[:, 2])
+        found[name] = errors, covariances[known]
+    return found
