@@ -17,7 +17,7 @@ _CLOCK = "/clock"
 
 
 def robots_of(recorded: Iterable[Topic]) -> tuple[str, ...]:
-    """The robots whose odometry is among `recorded` topics."""
+    """The robots whose odometry is among `recorded` topics, each with its namespace if any."""
     names = (topic.name for topic in recorded if topic.name.endswith(_ODOMETRY_END))
     return tuple(sorted(name.removesuffix(_ODOMETRY_END).lstrip("/") for name in names))
 
@@ -48,18 +48,28 @@ def selected(recorded: Iterable[Topic], everything: bool) -> dict[str, Topic]:
 
 
 class Names:
-    """Other names for some of the robots, given as `old=new`."""
+    """Other names for some of the robots, given as `old=new`.
+
+    A robot recorded in a namespace is `fleet/robot_1`, or `robot_1` where no other namespace has
+    one of that name. It stays in its namespace. Frames have none: its are `robot_1/odom`, ...
+    """
 
     def __init__(self, rules: Iterable[str], robots: tuple[str, ...]) -> None:
         self._names: dict[str, str] = {}
         for rule in rules:
-            old, separator, new = rule.partition("=")
-            if not separator or not new or old not in robots:
+            old, _, new = rule.partition("=")
+            meant = [robot for robot in robots if old in (robot, _own_name(robot))]
+            if not new or "/" in new or not meant:
                 raise InputError(
                     f"rename: '{rule}' is not robot=name with a robot of the recording, "
                     f"{', '.join(robots)}"
                 )
-            self._names[old] = new
+            if len(meant) > 1:
+                raise InputError(
+                    f"rename: '{old}' is each of {', '.join(meant)}; name one of these"
+                )
+            robot = meant[0]
+            self._names[robot] = robot.removesuffix(_own_name(robot)) + new
         team = [self._names.get(robot, robot) for robot in robots]
         if len(set(team)) < len(team):
             raise InputError(f"rename: two robots would have one name in {', '.join(team)}")
@@ -74,16 +84,28 @@ class Names:
 
     def data(self, record: Record) -> bytes:
         """The message with its frames renamed; what cannot be decoded stays as it is."""
-        if self._robot(record.topic) is None:
+        robot = self._robot(record.topic)
+        if robot is None:
             return record.data
+        namespace = robot.removesuffix(_own_name(robot))
+        frames = {
+            _own_name(old): _own_name(new)
+            for old, new in self._names.items()
+            if old.removesuffix(_own_name(old)) == namespace
+        }
         try:
-            return wire.renamed(record.data, record.type, self._names)
+            return wire.renamed(record.data, record.type, frames)
         except InputError:
             return record.data
 
     def _robot(self, name: str) -> str | None:
         """The robot to rename whose topic this is."""
         return next((robot for robot in self._names if name.startswith(f"/{robot}/")), None)
+
+
+def _own_name(robot: str) -> str:
+    """A robot's name without its namespace."""
+    return robot.rpartition("/")[2]
 
 
 def messages(reader: BagReader, wanted: dict[str, Topic], start_ns: int) -> Iterator[Record]:
