@@ -16,6 +16,8 @@ from multi_robot_slam.runs.trajectory_errors import PoseErrors, pose_errors
 REJECTED = "#C0392B"
 SPACING = 0.06
 """Between the four parts of a robot's chart, as a share of its height; a legend fits in."""
+LIVE = "live"
+"""The kind of path that has a robot's own name in the legend: as it was published."""
 AXES = ("x [m]", "y [m]", "heading [rad]")
 
 
@@ -101,15 +103,13 @@ def _draw_bounds(figure: go.Figure, run: Run, name: str, times: Timeline, colour
         shape = go.Scatter(x=around, y=band, mode="lines", name="2 σ", **look, **legend)
         figure.add_trace(shape, **place)
         if errors is not None:
-            figure.add_trace(
-                _line(seconds, errors[rows, axis], "published", colour, axis == 0), **place
-            )
+            figure.add_trace(_line(seconds, errors[rows, axis], "live", colour, axis == 0), **place)
 
 
 def _draw_final(figure: go.Figure, errors: RobotErrors, times: Timeline) -> None:
     """The whole path at the end, and the refined one where there is one."""
     for title, series, dash in (
-        ("at the end", errors.path, "dash"),
+        ("after the run", errors.path, "dash"),
         ("refined", errors.refined, "dot"),
     ):
         rows = thinned(len(series.stamps_ns), times.most)
@@ -156,12 +156,13 @@ def _draw_associations(
 
 
 def _distances(run: Run, errors: dict[str, RobotErrors], times: Timeline) -> go.Figure:
-    """How far from the truth: odometry, as published, refined."""
+    """How far from the truth: live, after the run, refined, odometry."""
     figure = go.Figure()
     kinds: dict[str, tuple[Callable, str]] = {
-        "as published": (lambda e: e.online, "solid"),
-        "odometry": (lambda e: e.odometry, "dot"),
+        LIVE: (lambda e: e.online, "solid"),
+        "after the run": (lambda e: e.path, "longdash"),
         "refined": (lambda e: e.refined, "dash"),
+        "odometry": (lambda e: e.odometry, "dot"),
     }
     for kind, (of, dash) in kinds.items():
         drawn = {name: of(e) for name, e in errors.items() if len(of(e).stamps_ns)}
@@ -169,10 +170,10 @@ def _distances(run: Run, errors: dict[str, RobotErrors], times: Timeline) -> go.
             rows = thinned(len(series.stamps_ns), times.most)
             metres = np.hypot(*series.errors[rows, :2].T)
             seconds = times.seconds(series.stamps_ns[rows])
-            title = name if kind == "as published" else f"{name}, {kind}"
-            own = kind == "as published"
+            own = kind == LIVE
+            title = name if own else f"{name}, {kind}"
             figure.add_trace(_line(seconds, metres, title, colours(run)[name], own, dash))
-        if drawn and kind != "as published":
+        if drawn:
             figure.add_trace(_line([None], [None], kind, NEUTRAL, True, dash))
     figure.update_yaxes(title_text="distance [m]", rangemode="tozero")
     return figure.update_xaxes(title_text="time [s]")

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import plotly.graph_objects as go
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from plotly.offline import get_plotlyjs
 
@@ -12,18 +13,20 @@ from multi_robot_slam.config import SECTION
 from multi_robot_slam.report import charts, scene
 from multi_robot_slam.report.timeline import Timeline, timeline
 from multi_robot_slam.runs import Run, evaluation_table
+from multi_robot_slam.runs.evaluation import Figures
 
 FILE = "report.html"
 
 COLUMNS = {
-    "odometry_path_rmse_m": ("path [m]", "odometry"),
-    "path_rmse_m": ("path [m]", "estimate"),
-    "path_aligned_rmse_m": ("path [m]", "aligned"),
+    "online_path_rmse_m": ("path [m]", "live"),
+    "path_rmse_m": ("path [m]", "after the run"),
     "refined_path_rmse_m": ("path [m]", "refined"),
     "batch_path_rmse_m": ("path [m]", "yardstick"),
+    "odometry_path_rmse_m": ("path [m]", "odometry"),
+    "online_heading_rmse_rad": ("heading [rad]", "live"),
+    "heading_rmse_rad": ("heading [rad]", "after the run"),
     "odometry_heading_rmse_rad": ("heading [rad]", "odometry"),
-    "heading_rmse_rad": ("heading [rad]", "estimate"),
-    "map_rmse_m": ("map [m]", "estimate"),
+    "map_rmse_m": ("map [m]", "at the end"),
     "refined_map_rmse_m": ("map [m]", "refined"),
 }
 """Figures in the table of errors, where the run has them: the quantity, and what claims it."""
@@ -42,7 +45,7 @@ FIGURES = {
 """Figures of the whole team beside the table of errors: what they are called, how written."""
 
 
-def write(run: Run, figures: dict, folder: Path) -> Path:
+def write(run: Run, figures: Figures, folder: Path) -> Path:
     """Write `report.html` of a run and its figures (`evaluation.evaluate`); return its path.
 
     The same run gives the same bytes. Long runs are thinned (`timeline.MOST_SAMPLES`,
@@ -57,7 +60,7 @@ def write(run: Run, figures: dict, folder: Path) -> Path:
     return path
 
 
-def page(run: Run, figures: dict, title: str) -> str:
+def page(run: Run, figures: Figures, title: str) -> str:
     """The whole page as HTML."""
     times = timeline(run)
     drawn = charts.charts(run, times)
@@ -77,6 +80,7 @@ def page(run: Run, figures: dict, title: str) -> str:
         run=run,
         figures=figures,
         headline=_headline(run, times),
+        made_by=_made_by(run),
         columns={key: head for key, head in COLUMNS.items() if figures[key] is not None},
         facts=_facts(figures),
         sections=_sections(figures),
@@ -102,11 +106,26 @@ def _headline(run: Run, times: Timeline) -> str:
     minutes = f" ({duration_s / 60:.0f} min)" if duration_s >= 120 else ""
     return (
         f"{team} {'robot' if team == 1 else 'robots'}, {duration_s:.0f} s{minutes}, {count} steps, "
-        f"{run.config.filter.particles} particles, seed {run.config.seed}"
+        f"{run.config.filter.particles} particles"
     )
 
 
-def _facts(figures: dict) -> dict[str, str]:
+def _made_by(run: Run) -> str:
+    """Version, scenario, seed and machine, as far as they are known."""
+    told, made = [f"seed {run.config.seed}"], run.provenance
+    if made is not None:
+        machine = made.machine
+        told.insert(0, f"multi_robot_slam {made.version}")
+        if made.scenario is not None:
+            told.insert(1, f"scenario {made.scenario}")
+        told.append(f"{machine.get('processor')}, {machine.get('cores')} cores")
+        told.append(f"{machine.get('platform')}")
+        kinds = ("python", "numpy", "numba")
+        told.append(", ".join(f"{kind} {machine.get(kind)}" for kind in kinds))
+    return "; ".join(told)
+
+
+def _facts(figures: Figures) -> dict[str, str]:
     return {
         label: form.format(figures[key])
         for key, (label, form) in FIGURES.items()
@@ -114,7 +133,7 @@ def _facts(figures: dict) -> dict[str, str]:
     }
 
 
-def _sections(figures: dict) -> dict[str, dict[str, str]]:
+def _sections(figures: Figures) -> dict[str, dict[str, str]]:
     """The sections of `evaluation_table` with those figures the run has."""
     return {
         section: known
@@ -123,7 +142,7 @@ def _sections(figures: dict) -> dict[str, dict[str, str]]:
     }
 
 
-def _layers(figure: object) -> dict[str, str]:
+def _layers(figure: go.Figure) -> dict[str, str]:
     """The layers the scene has, and what they are called."""
     present = {trace.meta["layer"] for trace in figure.data}
     return {layer: label for layer, label in scene.LAYERS.items() if layer in present}

@@ -6,6 +6,7 @@ by the colour-blind too.
 
 from itertools import cycle
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -30,18 +31,22 @@ ELLIPSE_SIGMAS = 2.4477
 """Half axes of an ellipse that holds 95 % of a planar Gaussian, in standard deviations."""
 DPI = 160
 
-_WALL = {"linewidth": 4.0, "color": WALL_COLOUR, "label": "wall"}
-_TRUE_PATH = {"linestyle": "-", "linewidth": 1.4, "label": "true path"}
-_ODOMETRY = {"linestyle": "--", "linewidth": 1.2, "label": "odometry"}
-_ESTIMATE = {
+Look = dict[str, Any]
+"""Keywords of Matplotlib's artists."""
+
+_WALL: Look = {"linewidth": 4.0, "color": WALL_COLOUR, "label": "wall"}
+_TRUE_PATH: Look = {"linestyle": "-", "linewidth": 1.4, "label": "true path"}
+_ODOMETRY: Look = {"linestyle": "--", "linewidth": 1.2, "label": "odometry"}
+_LIVE: Look = {
     "linestyle": "none",
     "marker": "s",
     "markersize": 4.5,
     "markerfacecolor": "white",
     "markeredgewidth": 1.1,
-    "label": "estimated path",
+    "label": "live path",
 }
-_TRUE_LANDMARK = {
+_AFTER: Look = {"linestyle": ":", "linewidth": 1.6, "label": "path after the run"}
+_TRUE_LANDMARK: Look = {
     "linestyle": "none",
     "marker": (8, 2),
     "markersize": 5,
@@ -49,7 +54,7 @@ _TRUE_LANDMARK = {
     "color": TRUE_LANDMARK_COLOUR,
     "label": "true landmark",
 }
-_LANDMARK = {
+_LANDMARK: Look = {
     "linestyle": "none",
     "marker": ".",
     "markersize": 2.5,
@@ -76,18 +81,19 @@ def map_figure(run: Run) -> Figure:
 
 
 def error_figure(run: Run) -> Figure:
-    """Errors of x, y and theta over time: (a) estimate, (b) odometry (paper fig. 4)."""
+    """Errors of x, y and theta over time (paper fig. 4): live, after the run, of the odometry."""
     errors = robot_errors(run)
     if not errors:
         raise InputError("this run has no ground truth, so its errors cannot be drawn")
-    figure = _figure(10.0, 6.0)
-    grid = figure.subplots(3, 2, sharex=True)
+    figure = _figure(13.0, 6.0)
+    grid = figure.subplots(3, 3, sharex=True)
     looks = dict(zip(run.robots, zip(cycle(ROBOT_COLOURS), cycle(ROBOT_LINES)), strict=False))
     starts = [stamp for robot in errors.values() for e in robot for stamp in e.stamps_ns[:1]]
     start_ns = min(starts, default=0)
     for column, title, series in (
-        (0, "(a) estimate − truth", {name: robot.path for name, robot in errors.items()}),
-        (1, "(b) odometry − truth", {name: robot.odometry for name, robot in errors.items()}),
+        (0, "(a) live − truth", {name: robot.online for name, robot in errors.items()}),
+        (1, "(b) after the run − truth", {name: robot.path for name, robot in errors.items()}),
+        (2, "(c) odometry − truth", {name: robot.odometry for name, robot in errors.items()}),
     ):
         _draw_errors(grid[:, column], series, looks, start_ns)
         grid[0, column].set_title(title + _team_rmse(series), loc="left")
@@ -126,7 +132,7 @@ def _plain(axes: Axes) -> None:
 def _draw_world(axes: Axes, run: Run) -> None:
     if run.walls is not None:
         segments = run.walls.segments.reshape(-1, 2, 2)
-        axes.add_collection(LineCollection(segments, **_WALL, zorder=1))
+        axes.add_collection(LineCollection(list(segments), **_WALL, zorder=1))
     if run.true_landmarks is not None:
         x, y, _ = run.true_landmarks.positions.T
         axes.plot(x, y, **_TRUE_LANDMARK, zorder=2)
@@ -170,7 +176,8 @@ def _draw_paths(axes: Axes, robot: RobotRun, colour: str) -> None:
     axes.plot(*odometry[:, :2].T, **_ODOMETRY, color=colour, zorder=4)
     if robot.truth is not None:
         axes.plot(*robot.truth.poses[:, :2].T, **_TRUE_PATH, color=colour, zorder=5)
-    axes.plot(*robot.path.poses[:, :2].T, **_ESTIMATE, color=colour, markevery=0.025, zorder=6)
+    axes.plot(*robot.path.poses[:, :2].T, **_AFTER, color=colour, zorder=6)
+    axes.plot(*robot.online.poses[:, :2].T, **_LIVE, color=colour, markevery=0.025, zorder=7)
 
 
 def _map_legend(run: Run) -> list[Line2D]:
@@ -178,7 +185,7 @@ def _map_legend(run: Run) -> list[Line2D]:
         Line2D([], [], color=colour, linewidth=4, label=name)
         for colour, name in zip(cycle(ROBOT_COLOURS), run.robots, strict=False)
     ]
-    styles = [_ESTIMATE, _ODOMETRY, _LANDMARK]
+    styles = [_LIVE, _AFTER, _ODOMETRY, _LANDMARK]
     if any(robot.truth is not None for robot in run.robots.values()):
         styles.insert(0, _TRUE_PATH)
     if run.true_landmarks is not None:

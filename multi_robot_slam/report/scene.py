@@ -2,11 +2,13 @@
 
 import base64
 from itertools import cycle
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
 
 from msg_defs.types import FrameRecord, LandmarkMap, Trajectory, Walls
+from multi_robot_slam.models import stereo
 from multi_robot_slam.report.timeline import Timeline, newest_rows, thinned
 from multi_robot_slam.runs import RobotRun, Run
 from multi_robot_slam.runs.colours import ROBOT_COLOURS
@@ -33,14 +35,15 @@ LAYERS = {
     "uncertainty": "their uncertainty",
     "truth": "true paths",
     "odometry": "odometry",
-    "estimate": "estimated paths",
+    "live": "live paths",
+    "after": "paths after the run",
     "refined": "refined paths",
     "sight": "lines of sight",
     "walls": "walls",
     "true_landmarks": "true landmarks",
 }
 """What can be shown and hidden, and what it is called."""
-HIDDEN_AT_FIRST = {"true_landmarks"}
+HIDDEN_AT_FIRST = {"after", "true_landmarks"}
 
 
 def colours(run: Run) -> dict[str, str]:
@@ -107,9 +110,9 @@ def packed(values: object, dtype: str) -> dict[str, str]:
 def extent(run: Run) -> np.ndarray:
     """(2, 3): lowest and highest corner of the scene [m].
 
-    It holds estimated and true paths, walls, and all landmarks but the outermost hundredth.
+    It holds live, later and true paths, walls, and all landmarks but the outermost hundredth.
     """
-    flat = [r.path.poses[:, :2] for r in run.robots.values()]
+    flat = [path.poses[:, :2] for r in run.robots.values() for path in (r.online, r.path)]
     flat += [r.truth.poses[:, :2] for r in run.robots.values() if r.truth is not None]
     flat += [r.start_pose[None, :2] for r in run.robots.values()]
     heights = [0.0, 2 * run.config.mount.up_m]
@@ -120,9 +123,9 @@ def extent(run: Run) -> np.ndarray:
         inner = np.quantile(run.landmarks.positions, [0.01, 0.99], axis=0)
         flat.append(inner[:, :2])
         heights += inner[:, 2].tolist()
-    flat = np.concatenate(flat)
-    low = np.array([*flat.min(axis=0), min(heights)])
-    high = np.array([*flat.max(axis=0), max(heights)])
+    places = np.concatenate(flat)
+    low = np.array([*places.min(axis=0), min(heights)])
+    high = np.array([*places.max(axis=0), max(heights)])
     margin = MARGIN * max((high - low)[:2].max(), 1.0)
     return np.array([low, high]) + np.outer([-margin, margin], [1.0, 1.0, 0.0])
 
@@ -155,8 +158,7 @@ def roots(covariances: np.ndarray) -> np.ndarray:
 
 
 def _full_roots(landmarks: LandmarkMap) -> np.ndarray:
-    elements = landmarks.covariances[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]]
-    return roots(elements.astype(float).reshape(-1, 3, 3))
+    return roots(stereo.unpack(landmarks.covariances))
 
 
 def _robot_frames(run: Run, name: str, times: Timeline, row_of: dict[int, int]) -> dict:
@@ -171,16 +173,16 @@ def _robot_frames(run: Run, name: str, times: Timeline, row_of: dict[int, int]) 
     robot, newest = run.robots[name], _newest_frames(run, name, times)
     seen = [_rows_seen(frame, row_of) if frame else [] for frame in newest]
     met = [frame.others[~frame.is_other_rejected].tolist() if frame else [] for frame in newest]
-    seen_starts, seen = _listed(seen)
-    met_starts, met = _listed(met)
+    seen_starts, all_seen = _listed(seen)
+    met_starts, all_met = _listed(met)
     return {
         "poses": packed(_at(poses, rows), "f4"),
         "means": packed(_at(means, rows), "f4"),
         "roots": packed(_at(spreads, rows), "f4"),
         "truth": None if robot.truth is None else packed(_true(robot.truth, times), "f4"),
-        "seen": seen,
+        "seen": all_seen,
         "seen_starts": seen_starts,
-        "met": met,
+        "met": all_met,
         "met_starts": met_starts,
     }
 
@@ -216,15 +218,20 @@ def _listed(lists: list[list[int]]) -> tuple[dict, dict]:
     return packed(starts, "i4"), packed([value for values in lists for value in values], "i4")
 
 
-_ELLIPSOID = {"color": NEUTRAL, "opacity": 0.35, "hoverinfo": "skip", "lighting": {"ambient": 0.7}}
-_LANDMARK = {
+_ELLIPSOID: dict[str, Any] = {
+    "color": NEUTRAL,
+    "opacity": 0.35,
+    "hoverinfo": "skip",
+    "lighting": {"ambient": 0.7},
+}
+_LANDMARK: dict[str, Any] = {
     "mode": "markers",
     "marker": {"size": 2.2, "color": NEUTRAL},
     "hovertemplate": "landmark %{text}<br>%{x:.2f}, %{y:.2f}, %{z:.2f} m<extra></extra>",
 }
 
 
-_BODY = {"flatshading": True, "opacity": 0.55, "lighting": {"ambient": 0.85}}
+_BODY: dict[str, Any] = {"flatshading": True, "opacity": 0.55, "lighting": {"ambient": 0.85}}
 
 
 def _moving(layer: str, kind: type, robot: str | None = None, **style: object) -> object:
@@ -269,11 +276,12 @@ def _true_landmarks(landmarks: LandmarkMap | None) -> list:
 
 
 def _paths(name: str, colour: str, robot: RobotRun, times: Timeline) -> list:
-    kinds = {
+    kinds: dict[str, tuple[Trajectory | None, dict[str, Any], float]] = {
         "odometry": (odometry_in_map(robot), {"width": 2.5, "dash": "dot"}, 0.0),
         "truth": (robot.truth, {"width": 11}, 0.0),
-        "estimate": (robot.path, {"width": 3.5}, LIFT_M),
-        "refined": (robot.refined, {"width": 5, "dash": "dash"}, 2 * LIFT_M),
+        "live": (robot.online, {"width": 3.5}, LIFT_M),
+        "after": (robot.path, {"width": 3.5, "dash": "longdash"}, 2 * LIFT_M),
+        "refined": (robot.refined, {"width": 5, "dash": "dash"}, 3 * LIFT_M),
     }
     return [
         _path(name, layer, path, {"color": colour, **line}, lift_m, times)
@@ -288,7 +296,7 @@ def _path(
     """A path with the time [s] of each point in `customdata`, for which the page cuts it."""
     rows = thinned(len(path.poses), times.most)
     x, y, _ = path.poses[rows].T
-    told = f"{name}, {LAYERS[layer].removesuffix('s')}<br>%{{x:.2f}}, %{{y:.2f}} m"
+    told = f"{name}, {LAYERS[layer].replace('paths', 'path')}<br>%{{x:.2f}}, %{{y:.2f}} m"
     return go.Scatter3d(
         x=x,
         y=y,

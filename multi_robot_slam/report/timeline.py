@@ -55,10 +55,10 @@ def thinned(count: int, most: int) -> np.ndarray:
     return rows if not count or rows[-1] == count - 1 else np.append(rows, count - 1)
 
 
-def grouped(reduce: np.ufunc, values: Sequence, most: int) -> np.ndarray:
+def grouped(reduce: np.ufunc, values: Sequence | np.ndarray, most: int) -> np.ndarray:
     """`reduce` (np.minimum, np.add, ...) of each group of `first_rows`."""
-    values = np.asarray(values)
-    return reduce.reduceat(values, first_rows(len(values), most)) if len(values) else values
+    each = np.asarray(values)
+    return reduce.reduceat(each, first_rows(len(each), most)) if len(each) else each
 
 
 def newest_rows(stamps_ns: np.ndarray, instants_ns: np.ndarray) -> np.ndarray:

@@ -10,34 +10,41 @@ from multi_robot_slam.runs.run import TEAM
 
 SECTIONS = {
     "path [m]": {
-        "odometry_path_rmse_m": "odometry",
-        "path_rmse_m": "estimate",
-        "path_aligned_rmse_m": "estimate, aligned alone",
-        "path_team_aligned_rmse_m": "estimate, aligned as a team",
-        "online_path_rmse_m": "as published",
-        "online_path_aligned_rmse_m": "as published, aligned alone",
-        "mean_path_rmse_m": "mean of the particles",
+        "online_path_rmse_m": "live",
+        "online_path_aligned_rmse_m": "live, aligned alone",
+        "path_rmse_m": "after the run",
+        "path_aligned_rmse_m": "after the run, aligned alone",
+        "path_team_aligned_rmse_m": "after the run, aligned as a team",
+        "mean_path_rmse_m": "after the run, mean of the particles",
         "refined_path_rmse_m": "refined",
         "refined_path_aligned_rmse_m": "refined, aligned alone",
         "batch_path_rmse_m": "yardstick",
+        "odometry_path_rmse_m": "odometry",
     },
     "heading [rad]": {
-        "odometry_heading_rmse_rad": "odometry",
-        "heading_rmse_rad": "estimate",
-        "heading_aligned_rmse_rad": "estimate, aligned alone",
-        "heading_team_aligned_rmse_rad": "estimate, aligned as a team",
+        "online_heading_rmse_rad": "live",
+        "online_heading_aligned_rmse_rad": "live, aligned alone",
+        "heading_rmse_rad": "after the run",
+        "heading_aligned_rmse_rad": "after the run, aligned alone",
+        "heading_team_aligned_rmse_rad": "after the run, aligned as a team",
         "refined_heading_rmse_rad": "refined",
         "batch_heading_rmse_rad": "yardstick",
+        "odometry_heading_rmse_rad": "odometry",
     },
     "motion": {
-        "rte_1m_rmse_m": "over 1 m [m]",
-        "rte_1m_rmse_rad": "over 1 m [rad]",
-        "rte_10m_rmse_m": "over 10 m [m]",
-        "rte_10m_rmse_rad": "over 10 m [rad]",
+        "online_rte_1m_rmse_m": "live, over 1 m [m]",
+        "online_rte_1m_rmse_rad": "live, over 1 m [rad]",
+        "online_rte_10m_rmse_m": "live, over 10 m [m]",
+        "online_rte_10m_rmse_rad": "live, over 10 m [rad]",
+        "rte_1m_rmse_m": "after the run, over 1 m [m]",
+        "rte_1m_rmse_rad": "after the run, over 1 m [rad]",
+        "rte_10m_rmse_m": "after the run, over 10 m [m]",
+        "rte_10m_rmse_rad": "after the run, over 10 m [rad]",
     },
     "map [m]": {
-        "map_rmse_m": "estimate",
-        "map_aligned_rmse_m": "estimate, aligned",
+        "map_rmse_m": "at the end",
+        "map_aligned_rmse_m": "at the end, aligned",
+        "map_all_rmse_m": "at the end, duplicates included",
         "refined_map_rmse_m": "refined",
         "refined_map_aligned_rmse_m": "refined, aligned",
     },
@@ -45,7 +52,7 @@ SECTIONS = {
         "landmarks": "in the map",
         "landmarks_seen": "true ones seen",
         "misses": "of these, not in the map",
-        "duplicates": "in the map once more",
+        "duplicates": "duplicates in the map",
     },
     "association": {
         "association_precision": "precision",
@@ -62,7 +69,10 @@ SECTIONS = {
         "step_ms_max": "longest",
     },
 }
-"""Figures in the table by section, and what they are called there."""
+"""Figures in the table by section, and what they are called there.
+
+*Live* is the pose as it was published at each step; *after the run* the whole path in hindsight.
+"""
 
 
 def table(result: dict) -> Table:

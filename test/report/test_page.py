@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from msg_defs.types import Estimate
+from multi_robot_slam import runs
 from multi_robot_slam.report import charts, page, scene, timeline
 from multi_robot_slam.runs import evaluation
 from multi_robot_slam.runs.colours import ROBOT_COLOURS
@@ -98,7 +99,7 @@ def test_every_robot_has_its_paths_in_its_colour():
     run = fake_run(robots=3)
     robots = {name: replace(robot, refined=robot.path) for name, robot in run.robots.items()}
     run = replace(run, robots=robots)
-    for layer in ("truth", "odometry", "estimate", "refined"):
+    for layer in ("truth", "odometry", "live", "after", "refined"):
         drawn = traces(run, layer)
         assert [trace.meta["robot"] for trace in drawn] == list(run.robots)
         assert [trace.line.color for trace in drawn] == list(ROBOT_COLOURS[:3])
@@ -189,7 +190,7 @@ def test_bounds_are_two_sigma_and_errors_are_of_the_mean():
     steps = [replace(s, estimates=tuple(map(off, s.estimates))) for s in run.steps]
     run = replace(run, steps=steps)
     figure = charts.charts(run, timeline.timeline(run))["robot robot_1"]
-    drawn = [trace for trace in figure.data if trace.name == "published"]
+    drawn = [trace for trace in figure.data if trace.name == "live"]
     for trace, error in zip(drawn, (0.03, -0.01, 0.0), strict=True):
         np.testing.assert_allclose(trace.y, error, atol=1e-9)
     for trace in figure.data:
@@ -235,6 +236,43 @@ def test_page_shows_figures_configuration_and_what_was_dropped():
     assert "the bag breaks off" in shown
     assert "RMS errors against the truth" in shown
     assert "no truth to be compared" in page_of(bare())
+
+
+def test_page_says_first_what_was_published_and_then_what_hindsight_makes_of_it():
+    run = fake_run(robots=1)
+    robot = run.robots["robot_1"]
+    apart = replace(robot, online=moved(robot.truth, (0.25, 0, 0)), path=robot.truth)
+    shown = page_of(replace(run, robots={"robot_1": apart}))
+    heads = re.findall(r'scope="col">([^<]+)<small>path', shown)
+    assert heads == ["live", "after the run", "odometry"]
+    row = shown[shown.index("<tbody>") : shown.index("</tbody>")]
+    assert re.findall(r"<td>([^<]*)</td>", row)[:2] == ["0.250", "0.000"]
+    figure = charts.charts(replace(run, robots={"robot_1": apart}), timeline.timeline(run))
+    kinds = [trace.name for trace in figure["distances"].data]
+    later = [kind for k in ("after the run", "odometry") for kind in (f"robot_1, {k}", k)]
+    assert kinds == ["robot_1", "live", *later]
+
+
+def test_page_names_what_made_the_run():
+    run = fake_run()
+    assert "seed 0" in page_of(run)
+    made = runs.Provenance("1.2.3", "calibrated", {"processor": "a chip", "cores": 2})
+    shown = page_of(replace(run, provenance=made))
+    for words in ("multi_robot_slam 1.2.3", "scenario calibrated", "seed 0", "a chip, 2 cores"):
+        assert words in shown
+
+
+def test_the_path_after_the_run_is_a_layer_of_its_own_that_can_be_shown():
+    run = fake_run(robots=1)
+    robot = run.robots["robot_1"]
+    robot = replace(robot, online=moved(robot.truth, (1, 0, 0)))
+    run = replace(run, robots={"robot_1": robot})
+    (live,), (after,) = traces(run, "live"), traces(run, "after")
+    np.testing.assert_allclose([live.x, live.y], robot.online.poses[:, :2].T)
+    np.testing.assert_allclose([after.x, after.y], robot.path.poses[:, :2].T)
+    shown = page_of(run)
+    assert 'value="live" checked' in shown
+    assert 'value="after" >' in shown
 
 
 def test_page_is_the_same_for_the_same_run():
@@ -393,7 +431,7 @@ def test_paths_can_be_cut_to_the_last_seconds(opened):
         controls.elements.trail.add(new Option("half a second", "0.55"));
         controls.elements.trail.value = arguments[0];
         readControls(); state.step = arguments[1]; drawScene();
-        return figures.scene.data.filter(trace => trace.meta.layer === "estimate")
+        return figures.scene.data.filter(trace => trace.meta.layer === "live")
             .map(trace => [Array.from(trace.x), Array.from(trace.y)]);
     """
     for trail, step, rows in (
@@ -404,7 +442,7 @@ def test_paths_can_be_cut_to_the_last_seconds(opened):
         for points, robot in zip(
             opened.execute_script(drawn, trail, step), TEAM.robots.values(), strict=True
         ):
-            np.testing.assert_allclose(points, robot.path.poses[rows, :2].T, atol=1e-9)
+            np.testing.assert_allclose(points, robot.online.poses[rows, :2].T, atol=1e-9)
 
 
 def test_a_robot_and_a_layer_can_be_hidden(opened):
@@ -417,7 +455,7 @@ def test_a_robot_and_a_layer_can_be_hidden(opened):
         return document.querySelector("[data-figure=scene]").data
             .filter(trace => trace.visible).map(trace => [trace.meta.layer, trace.meta.robot]);
     """)
-    assert ["estimate", "robot_1"] in shown
+    assert ["live", "robot_1"] in shown
     assert not any(robot == "robot_2" or layer == "walls" for layer, robot in shown)
 
 

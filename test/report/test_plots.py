@@ -37,7 +37,7 @@ def test_map_shows_paths_of_each_robot_in_its_colour():
     (axes,) = plots.map_figure(run).axes
     shown = {
         style["label"]: lines(axes, style)
-        for style in (plots._TRUE_PATH, plots._ODOMETRY, plots._ESTIMATE)
+        for style in (plots._TRUE_PATH, plots._ODOMETRY, plots._LIVE, plots._AFTER)
     }
     for index, robot in enumerate(run.robots.values()):
         for drawn in shown.values():
@@ -47,7 +47,17 @@ def test_map_shows_paths_of_each_robot_in_its_colour():
             )
     assert [line.get_linestyle() for line in shown["true path"]] == ["-"] * 3
     assert [line.get_linestyle() for line in shown["odometry"]] == ["--"] * 3
-    assert [line.get_marker() for line in shown["estimated path"]] == ["s"] * 3
+    assert [line.get_marker() for line in shown["live path"]] == ["s"] * 3
+
+
+def test_the_main_line_of_the_map_is_what_was_published():
+    run = fake_run(robots=1)
+    robot = replace(run.robots["robot_1"], online=moved(run.robots["robot_1"].truth, (1, 2, 0)))
+    (axes,) = plots.map_figure(replace(run, robots={"robot_1": robot})).axes
+    (live,), (after,) = lines(axes, plots._LIVE), lines(axes, plots._AFTER)
+    np.testing.assert_allclose(live.get_xydata(), robot.online.poses[:, :2])
+    np.testing.assert_allclose(after.get_xydata(), robot.path.poses[:, :2])
+    assert live.get_zorder() > after.get_zorder()
 
 
 def test_map_shows_world_and_landmarks_in_metres_of_equal_length():
@@ -81,7 +91,7 @@ def test_legend_names_what_is_there():
     run = fake_run(robots=2)
     everything = legend_texts(plots.map_figure(run).axes[0])
     assert everything[:2] == ["robot_1", "robot_2"]
-    assert {"true path", "odometry", "estimated path", "wall", "true landmark"} <= {*everything}
+    assert {"true path", "odometry", "live path", "path after the run", "wall"} <= {*everything}
     bare = legend_texts(plots.map_figure(without_truth(run)).axes[0])
     assert not {"true path", "wall", "true landmark"} & {*bare}
 
@@ -89,18 +99,23 @@ def test_legend_names_what_is_there():
 def test_more_robots_than_colours_and_an_empty_map_are_drawn():
     run = replace(fake_run(robots=8), landmarks=fake_landmarks(0))
     (axes,) = plots.map_figure(run).axes
-    assert len(lines(axes, plots._ESTIMATE)) == 8
+    assert len(lines(axes, plots._LIVE)) == 8
 
 
 def test_error_figure_shows_both_series_over_time():
     run = fake_run(robots=3)
     robots = {
-        name: replace(robot, path=moved(robot.truth, (0.1, 0.2, 0.3)))
+        name: replace(
+            robot,
+            online=moved(robot.truth, (0.1, 0.2, 0.3)),
+            path=moved(robot.truth, (0.01, 0.02, 0.03)),
+        )
         for name, robot in run.robots.items()
     }
     figure = plots.error_figure(replace(run, robots=robots))
-    estimate, odometry = np.array(figure.axes, object).reshape(3, 2).T
-    for axes, error in zip(estimate, (0.1, 0.2, 0.3), strict=True):
+    live, after, odometry = np.array(figure.axes, object).reshape(3, 3).T
+    both = [(*live, *after), (0.1, 0.2, 0.3, 0.01, 0.02, 0.03)]
+    for axes, error in zip(*both, strict=True):
         drawn = [line for line in axes.get_lines() if line.get_label() in run.robots]
         assert [line.get_linestyle() for line in drawn] == ["-", "--", "-."]
         for line in drawn:
@@ -109,8 +124,15 @@ def test_error_figure_shows_both_series_over_time():
     for axes in odometry:
         for line in axes.get_lines():
             np.testing.assert_allclose(line.get_ydata(), 0, atol=1e-9)
-    assert [axes.get_ylabel() for axes in estimate] == ["x [m]", "y [m]", "θ [rad]"]
-    assert "0.224 m" in estimate[0].get_title(loc="left")
+    assert [axes.get_ylabel() for axes in live] == ["x [m]", "y [m]", "θ [rad]"]
+    titles = [column[0].get_title(loc="left") for column in (live, after, odometry)]
+    assert [title.split(" − ")[0] for title in titles] == [
+        "(a) live",
+        "(b) after the run",
+        "(c) odometry",
+    ]
+    assert "0.224 m" in titles[0]
+    assert "0.022 m" in titles[1]
 
 
 def test_robot_keeps_its_look_when_another_has_no_truth():

@@ -48,14 +48,14 @@ def test_every_figure_of_every_run_is_there(folders, tmp_path):
 
 
 def test_differences_from_the_first_are_marked_and_equal_figures_are_not(folders):
-    lines = [
-        line for line in shown(comparison.compare(folders)).splitlines() if " estimate " in line
-    ]
-    path = lines[0]
+    lines = shown(comparison.compare(folders)).splitlines()
+    path = next(line for line in lines if " after the run " in line)
     assert "1.500 (+50.0%)" in path
     assert path.count("1.000") == 2
     assert path.count("(") == 1
-    assert all("(" not in line for line in lines if "odometry" in line)
+    same = [line for line in lines if " odometry " in line]
+    assert len(same) > 2
+    assert all("(" not in line for line in same)
 
 
 @pytest.mark.parametrize(
@@ -88,6 +88,18 @@ def test_other_recordings_and_settings_are_told(tmp_path):
     bags, particles = comparison.notes(comparison.compare([one, other]))
     assert bags == "of different recordings: recordings/bag | recordings/another"
     assert particles == "filter.particles: 100 | 200"
+
+
+def test_other_machines_are_told(tmp_path):
+    folders = []
+    for cores in (2, 2, 64):
+        made = runs.Provenance("1", None, {"processor": "a chip", "cores": cores})
+        run = replace(fake_run(), provenance=made)
+        folders.append(tmp_path / f"run_{len(folders)}")
+        runs.write(run, evaluate(run), folders[-1])
+    assert comparison.notes(comparison.compare(folders[:2])) == []
+    (told,) = comparison.notes(comparison.compare(folders[1:]))
+    assert told == "on different machines: a chip, 2 | a chip, 64"
 
 
 def test_robot_that_only_one_run_has_is_shown_for_that_one(folders, tmp_path):

@@ -496,10 +496,10 @@ def test_table_shows_every_robot_the_team_and_units():
     run = with_robots(fake_run(), lambda i, r: replace(r, path=moved(r.truth, (1.25 * i, 0, 0))))
     lines = shown(run).splitlines()
     assert any("team" in line and "robot_1" in line and "robot_2" in line for line in lines)
-    row = next(line for line in lines if " estimate " in line)
+    row = next(line for line in lines if " after the run " in line)
     assert [float(word) for word in row.split() if word[0].isdigit()] == [0.884, 0, 1.25]
-    assert any("path [m]: odometry" in line for line in lines)
-    assert any("heading [rad]: odometry" in line for line in lines)
+    assert any("path [m]: live" in line for line in lines)
+    assert any("heading [rad]: live" in line for line in lines)
     assert "refined" not in shown(run)
 
 
