@@ -41,8 +41,11 @@ def measured(robot):
             yield START + seconds, 99, 2.0, 0.1
 
 
-def write(folder):
-    """Two robots that drive exactly as commanded past four landmarks, for 30 s."""
+def write(folder, ends=None):
+    """Two robots that drive exactly as commanded past four landmarks, for 30 s.
+
+    `ends` maps (robot, kind of log) to when that log ends instead [s].
+    """
     (folder / "Barcodes.dat").write_text(lines(BARCODES.items()))
     places = [(row + 3, *place, 1e-4, 1e-4) for row, place in enumerate(LANDMARKS)]
     (folder / "Landmark_Groundtruth.dat").write_text(lines(places))
@@ -54,4 +57,6 @@ def write(folder):
             "Measurement": measured(robot),
         }
         for kind, rows in logs.items():
-            (folder / f"Robot{robot}_{kind}.dat").write_text(lines(rows))
+            end = START + (ends or {}).get((robot, kind), 60)
+            kept = [row for row in rows if row[0] <= end]
+            (folder / f"Robot{robot}_{kind}.dat").write_text(lines(kept))

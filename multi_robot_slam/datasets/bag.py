@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from rich.box import SIMPLE
 from rich.table import Table
 
 from msg_defs import scenario_file, topics, wire
@@ -17,35 +18,15 @@ from msg_defs.types import (
     ObservationTruth,
     PoseSample,
     Sightings,
-    Trajectory,
 )
 from multi_robot_slam.bags import BagWriter
 from multi_robot_slam.config import SECTION, Config
 from multi_robot_slam.datasets.dead_reckoning import poses_at, twists_at
 from multi_robot_slam.datasets.recording import Noise, Recording, RobotLog
 from multi_robot_slam.datasets.views import Views, views
-from multi_robot_slam.filter.settings import FilterSettings, RejuvenationSettings
+from multi_robot_slam.filter.settings import FilterSettings
 from multi_robot_slam.models.motion import MotionSettings
-
-GATE = 100.0
-"""D_0, also for robots seen: 10 sigma.
-
-Identities are read, so the gate need not tell landmarks apart, as the default must. It only has to
-stop what was read wrong; and whatever it stops of the rest is a ghost beside the true landmark.
-"""
-
-DESCRIPTOR_GATE = 0.5
-"""E_0: 0 between equal identities, 2 between different ones."""
-
-ROBUST_ABOVE = 1.0
-"""1 sigma, the usual scale of a Cauchy loss: the sensors' noise figures cover the heavy tails of
-range errors, so most readings lie well inside it. docs/results.md has the residuals.
-"""
-
-REJUVENATION = RejuvenationSettings(ancestors_below=0.25, rest=3, window=300)
-"""With few landmarks a posterior is far from Gaussian and weights are uneven; the window, a minute
-of five robots at 1 Hz, keeps such a smoothing at some 40 ms.
-"""
+from multi_robot_slam.runs.trajectory_errors import at, covers, sampled
 
 FINE_HZ = 10.0
 """Rate of odometry and ground truth in the bag; the robots move a few centimetres in between."""
@@ -64,7 +45,10 @@ class Count(NamedTuple):
     unknown: int
     """Of something that is neither landmark nor another robot: left out."""
     spare: int
-    """Further ones of one target in one frame, before the first frame, or not ahead: left out."""
+    """Further ones of one target in one frame, outside the frames, or not ahead: left out."""
+    frames: int
+    without_truth: int
+    """Frames at which nobody knows where the robot truly is: they are estimated, and not judged."""
 
 
 def write(
@@ -82,22 +66,23 @@ def write(
             f"{len(recording.landmarks)} landmarks: {DESCRIPTOR_SIZE} identities at most fit"
         )
     stamps = frame_stamps(recording, rate_hz)
-    config = configuration(recording, stamps[0])
+    first_ns = int(min(own[0] for own in stamps.values()))
+    config = configuration(recording, first_ns)
     text = scenario_file.to_yaml(**{SECTION: config})
     counts = {}
     messages = [
-        (int(stamps[0]), topics.GROUND_TRUTH_LANDMARKS, _true_map(recording, stamps[0])),
-        (int(stamps[0]), topics.FUSION_CONFIG, wire.encode_text(text)),
+        (first_ns, topics.GROUND_TRUTH_LANDMARKS, _true_map(recording, first_ns)),
+        (first_ns, topics.FUSION_CONFIG, wire.encode_text(text)),
     ]
     for name, log in recording.robots.items():
         on_robot(name)
         seen, others = (
-            views(readings, stamps, log.commands, recording.noise, recording.mount)
+            views(readings, stamps[name], log.commands, recording.noise, recording.mount)
             for readings in (log.landmarks, log.robots)
         )
-        messages += _motion(name, log, stamps)
-        messages += _frames(name, seen, others, stamps, config.sightings)
-        counts[name] = _count(log, seen, others)
+        messages += _motion(name, log, stamps[name])
+        messages += _frames(name, seen, others, stamps[name], config.sightings)
+        counts[name] = _count(log, seen, others, stamps[name])
     messages.sort(key=lambda message: message[0])
     with BagWriter(folder) as bag:
         for stamp, topic, data in messages:
@@ -105,38 +90,45 @@ def write(
     return counts
 
 
-def frame_stamps(recording: Recording, rate_hz: float) -> np.ndarray:
-    """(F,) int64: multiples of the period at which all robots' odometry and truth are known."""
+def frame_stamps(recording: Recording, rate_hz: float) -> dict[str, np.ndarray]:
+    """(F,) int64 for each robot: multiples of the period.
+
+    From when all robots' odometry has begun and it is known where all of them are, as the filter
+    must start somewhere, to the end of the robot's own odometry. Truth that begins later, pauses or
+    ends earlier ends nothing.
+    """
     period = round(1e9 / rate_hz)
-    paths = [log.truth.stamps_ns for log in recording.robots.values()]
-    driven = [log.commands.stamps_ns for log in recording.robots.values()]
-    first = max(stamps[0] for stamps in paths + driven)
-    last = min(stamps[-1] for stamps in paths + driven)
-    stamps = np.arange(-(-first // period), last // period + 1) * period
-    if len(stamps) < 2:
+    logs = recording.robots.values()
+    ends = [log.commands.stamps_ns[-1] // period for log in logs]
+    begun = max(log.commands.stamps_ns[0] for log in logs)
+    instants = np.arange(-(-begun // period), max(ends) + 1) * period
+    known = [covers(log.truth, instants) for log in logs]
+    starts = instants[np.logical_and.reduce(known)]
+    if not len(starts) or starts[0] >= min(ends) * period:
         raise InputError(
-            f"{max(last - first, 0) / 1e9:g} s are common to all robots' odometry and ground "
-            f"truth: no two frames at {rate_hz:g} Hz; raise --rate, or check the files"
+            f"no two frames at {rate_hz:g} Hz are common to all robots: from an instant at which "
+            "all odometry has begun and all ground truth is known, to the end of the shortest "
+            "odometry; raise --rate, or check the files"
         )
-    return stamps
+    first = starts[0] // period
+    return {
+        name: np.arange(first, end + 1) * period
+        for name, end in zip(recording.robots, ends, strict=True)
+    }
 
 
 def configuration(recording: Recording, first_ns: int) -> Config:
-    """What the filter is told: true poses at the start, the rest from the data sheet."""
-    starts = [interpolated(log.truth, np.array([first_ns]))[0] for log in recording.robots.values()]
+    """What the filter is told: true poses at the start, noise and mount from the data sheet.
+
+    Everything else is the filter's default. So no setting was chosen by looking at the truth.
+    """
+    starts = [at(log.truth, np.array([first_ns]))[0] for log in recording.robots.values()]
     return Config(
         robots=tuple(recording.robots),
-        start_poses=tuple(tuple(pose.tolist()) for pose in starts),
+        start_poses=tuple((float(x), float(y), float(yaw)) for x, y, yaw in starts),
         mount=recording.mount,
         sightings=any(len(log.robots) for log in recording.robots.values()),
-        filter=FilterSettings(
-            gate=GATE,
-            descriptor_gate=DESCRIPTOR_GATE,
-            sighting_gate=GATE,
-            robust_above=ROBUST_ABOVE,
-            rejuvenation=REJUVENATION,
-            motion=motion_settings(recording.noise),
-        ),
+        filter=FilterSettings(motion=motion_settings(recording.noise)),
     )
 
 
@@ -156,19 +148,15 @@ def motion_settings(noise: Noise) -> MotionSettings:
     )
 
 
-def interpolated(path: Trajectory, stamps_ns: np.ndarray) -> np.ndarray:
-    """Poses (T, 3) of `path` at `stamps_ns` (T,), held at its ends."""
-    since = path.stamps_ns[0]
-    times, known = stamps_ns - since, path.stamps_ns - since
-    x, y, yaw = path.poses.T
-    return np.column_stack([np.interp(times, known, f) for f in (x, y, np.unwrap(yaw))])
-
-
 def table(counts: dict[str, Count]) -> Table:
-    """What became of each robot's readings."""
-    shown = Table(title="readings", title_justify="left")
+    """What became of each robot's readings, and how many of its frames have no truth."""
+    untold = sum(count.without_truth for count in counts.values())
+    note = "Frames without truth are estimated like all others, and not judged." if untold else None
+    shown = Table(title="readings", caption=note, box=SIMPLE, padding=(0, 1, 0, 0))
+    shown.title_justify = shown.caption_justify = "left"
     for name in ("", *Count._fields):
-        shown.add_column(name, justify="right" if name else "left")
+        head = "no truth" if name == "without_truth" else name
+        shown.add_column(head, justify="right" if name else "left", no_wrap=True)
     for name, count in counts.items():
         shown.add_row(name, *map(str, count))
     return shown
@@ -185,7 +173,7 @@ def _true_map(recording: Recording, stamp_ns: int) -> bytes:
         robots=np.zeros(count, np.uint32),
         descriptors=_descriptors(np.arange(count)),
     )
-    return wire.encode_map(landmarks, int(stamp_ns))
+    return wire.encode_map(landmarks, stamp_ns)
 
 
 def _descriptors(rows: np.ndarray) -> np.ndarray:
@@ -194,7 +182,7 @@ def _descriptors(rows: np.ndarray) -> np.ndarray:
 
 
 def _motion(robot: str, log: RobotLog, frames_ns: np.ndarray) -> Iterator[Message]:
-    """Odometry from the first frame to the last, each of them included, and ground truth."""
+    """Odometry from the first frame to the last, each of them included; truth where it is known."""
     odom, base = topics.odom_frame(robot), topics.base_frame(robot)
     fine = np.arange(frames_ns[0], frames_ns[-1], round(1e9 / FINE_HZ))
     stamps = np.union1d(frames_ns, fine)
@@ -202,7 +190,8 @@ def _motion(robot: str, log: RobotLog, frames_ns: np.ndarray) -> Iterator[Messag
     for stamp, pose, twist in zip(stamps, poses, twists, strict=True):
         sample = PoseSample(robot, int(stamp), pose, twist)
         yield sample.stamp_ns, topics.odometry(robot), wire.encode_pose(sample, odom, base)
-    for stamp, pose in zip(stamps, interpolated(log.truth, stamps), strict=True):
+    truth = sampled(log.truth, stamps)
+    for stamp, pose in zip(truth.stamps_ns, truth.poses, strict=True):
         sample = PoseSample(robot, int(stamp), pose)
         data = wire.encode_pose(sample, topics.MAP_FRAME, base)
         yield sample.stamp_ns, topics.ground_truth(robot), data
@@ -233,7 +222,15 @@ def _frames(
         yield stamp, topics.observation_truth(robot), wire.encode_observation_truth(truth)
 
 
-def _count(log: RobotLog, seen: Views, others: Views) -> Count:
+def _count(log: RobotLog, seen: Views, others: Views, stamps_ns: np.ndarray) -> Count:
     readings = len(log.landmarks) + len(log.robots) + log.unknown
-    used = len(seen.frames), len(others.frames)
-    return Count(readings, *used, log.unknown, readings - sum(used) - log.unknown)
+    used = len(seen.frames) + len(others.frames)
+    return Count(
+        readings=readings,
+        observations=len(seen.frames),
+        sightings=len(others.frames),
+        unknown=log.unknown,
+        spare=readings - used - log.unknown,
+        frames=len(stamps_ns),
+        without_truth=int((~covers(log.truth, stamps_ns)).sum()),
+    )

@@ -87,7 +87,6 @@ def frames(run: Run, times: Timeline) -> dict:
     return {
         "seconds": packed(times.seconds(times.stamps_ns), "f4"),
         "steps": packed([run.steps[row].step for row in times.steps], "i4"),
-        "camera_m": run.config.mount.up_m,
         "body_m": 0.018 * float(np.ptp(extent(run), axis=0)[:2].max()),
         "landmarks": {
             "positions": packed(run.landmarks.positions[shown], "f4"),
@@ -115,7 +114,8 @@ def extent(run: Run) -> np.ndarray:
     flat = [path.poses[:, :2] for r in run.robots.values() for path in (r.online, r.path)]
     flat += [r.truth.poses[:, :2] for r in run.robots.values() if r.truth is not None]
     flat += [r.start_pose[None, :2] for r in run.robots.values()]
-    heights = [0.0, 2 * run.config.mount.up_m]
+    cameras = [run.config.mount_of(robot).up_m for robot in range(len(run.config.robots))]
+    heights = [0.0, 2 * max(cameras)]
     if run.walls is not None:
         flat.append(run.walls.segments.reshape(-1, 2))
         heights.append(run.walls.height_m)
@@ -171,11 +171,13 @@ def _robot_frames(run: Run, name: str, times: Timeline, row_of: dict[int, int]) 
         flat = roots(np.array([e.covariance[:2, :2] for e in estimates]))
         spreads = flat[:, [0, 0, 1], [0, 1, 1]]
     robot, newest = run.robots[name], _newest_frames(run, name, times)
+    mount = run.config.mount_of(run.config.robots.index(name))
     seen = [_rows_seen(frame, row_of) if frame else [] for frame in newest]
     met = [frame.others[~frame.is_other_rejected].tolist() if frame else [] for frame in newest]
     seen_starts, all_seen = _listed(seen)
     met_starts, all_met = _listed(met)
     return {
+        "camera_m": mount.up_m,
         "poses": packed(_at(poses, rows), "f4"),
         "means": packed(_at(means, rows), "f4"),
         "roots": packed(_at(spreads, rows), "f4"),

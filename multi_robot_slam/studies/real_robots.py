@@ -1,6 +1,6 @@
 """How well a team of real robots is located: set-ups x filters x seeds -> table.
 
-A recording with known truth (`convert.mrclam`) is estimated by the team together, with and without
+A recording with known truth (`datasets.mrclam`) is estimated by the team together, with and without
 the robots' sightings of each other, and by each robot alone. A robot alone drifts with its map as a
 whole, so it is judged after alignment, too.
 """
@@ -9,18 +9,17 @@ import csv
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from msg_defs.types import LandmarkMap
 from multi_robot_slam import runs
 from multi_robot_slam.config import Config
 from multi_robot_slam.datasets import bag, mrclam
 from multi_robot_slam.filter.settings import FilterSettings
 from multi_robot_slam.pipeline import offline, refinement
 from multi_robot_slam.pipeline.pipeline import Pipeline
-from multi_robot_slam.runs import evaluation
-from multi_robot_slam.runs.trajectory_errors import alignment, at, covers, rmse, rotation
+from multi_robot_slam.runs.trajectory_errors import rmse, sampled
 from multi_robot_slam.studies import filtering_optimum
 
 SIGHTINGS, LANDMARKS, ALONE = "together, sightings", "together", "alone"
@@ -42,7 +41,7 @@ class Job:
     config: Config
     setup: str
     filter: str
-    with_batch: bool
+    with_yardstick: bool
     """The yardstick is that of the recording and the same for all seeds: one run computes it."""
 
 
@@ -70,12 +69,17 @@ class Row:
     batch_path_rmse_m: float | None
     batch_path_aligned_rmse_m: float | None
     landmark_rmse_m: float
+    """Of the map, one landmark for each true one: `map_rmse_m` of `result.json`."""
     landmark_aligned_rmse_m: float
     refined_landmark_rmse_m: float
     rejected: int
     """Observations outside the gate of what they look like."""
-    ghosts: int
+    duplicates: int
     """Landmarks beyond the first of each true one."""
+
+
+Execute = Callable[[Callable[[Job], list[Row]], list[Job]], Iterator[tuple[Job, list[Row]]]]
+"""Runs a function on jobs: `scheduling.local`."""
 
 
 def study(
@@ -83,14 +87,21 @@ def study(
     out: Path,
     seeds: int,
     particles: int,
-    execute: Callable[[Callable[[Job], list[Row]], list[Job]], Iterator[tuple[Job, list[Row]]]],
+    execute: Execute,
     on_progress: Callable[[int, int], None] = lambda done, total: None,
+    first_seed: int = 0,
 ) -> list[Row]:
-    """All rows, in a fixed order; the recording in `folder` becomes the new bag `out`/bag."""
+    """All rows of `seeds` seeds from the first on, in a fixed order.
+
+    The recording in `folder` becomes the new bag `out`/bag.
+    """
     path = out / "bag"
     bag.write(mrclam.read(folder), path, RATE_HZ)
-    jobs = plan(path, offline.recorded_config(path), seeds, particles)
-    rows = []
+    config = offline.recorded_config(path)
+    if config is None:
+        raise AssertionError("what was just converted has its configuration")
+    jobs = plan(path, config, range(first_seed, first_seed + seeds), particles)
+    rows: list[Row] = []
     for done, (_, answer) in enumerate(execute(compute, jobs), start=1):
         rows += answer
         on_progress(done, len(jobs))
@@ -101,16 +112,16 @@ def study(
     return sorted(rows, key=lambda row: (*order(row), row.robot, row.seed))
 
 
-def plan(path: Path, config: Config, seeds: int, particles: int) -> list[Job]:
+def plan(path: Path, config: Config, seeds: range, particles: int) -> list[Job]:
     """Every run of the study."""
     jobs = []
-    for seed in range(seeds):
+    for seed in seeds:
         for name in FILTERS:
             own = replace(config, seed=seed, filter=_filter(name, config.filter, particles))
             teams = [(SIGHTINGS, own), (LANDMARKS, replace(own, sightings=False))]
             teams += [(ALONE, _alone(own, robot)) for robot in range(len(own.robots))]
-            with_batch = seed == 0 and name == REJUVENATED
-            jobs += [Job(path, team, setup, name, with_batch) for setup, team in teams]
+            is_first = seed == seeds[0] and name == REJUVENATED
+            jobs += [Job(path, team, setup, name, is_first) for setup, team in teams]
     return jobs
 
 
@@ -127,6 +138,7 @@ def _alone(config: Config, robot: int) -> Config:
         config,
         robots=(config.robots[robot],),
         start_poses=(config.start_poses[robot],),
+        mounts=config.mounts[robot : robot + 1],
         sightings=False,
     )
 
@@ -134,19 +146,14 @@ def _alone(config: Config, robot: int) -> Config:
 def compute(job: Job) -> list[Row]:
     """Run the filter over the bag, refine, and judge."""
     pipeline = Pipeline(job.config)
-    steps = []
-    for event in offline.events(job.bag, job.config):
-        steps += pipeline.handle(event)
-    steps += pipeline.finish()
-    recorded = runs.recorded(job.bag, job.config.robots)
-    paths, landmarks = pipeline.trajectories(), pipeline.landmark_map()
-    run = runs.assemble(job.config, recorded, steps, paths, landmarks, pipeline.dropped)
+    steps = offline.run_through(pipeline, offline.events(job.bag, job.config))
+    run = offline.assemble(pipeline, runs.recorded(job.bag, job.config.robots), steps)
     lineage = pipeline.lineage()
-    refined = refinement.refine(lineage, landmarks, job.config)
+    refined = refinement.refine(lineage, run.landmarks, job.config)
     run = run.with_paths(mean=pipeline.mean_trajectories(), refined=refined.paths)
     run = replace(run, refined_landmarks=refined.landmarks)
     optimum: dict[str, np.ndarray] = {}
-    if job.with_batch:
+    if job.with_yardstick:
         run = refinement.with_yardstick(run, lineage)
         optimum = optimum_errors(run, lineage)
     return rows_of(run, job.setup, job.filter, optimum)
@@ -158,8 +165,10 @@ def optimum_errors(run: runs.Run, lineage: refinement.Lineage) -> dict[str, np.n
     errors = {}
     for name, path in paths.items():
         truth = run.robots[name].truth
-        known = covers(truth, path.stamps_ns)
-        errors[name] = path.poses[known, :2] - at(truth, path.stamps_ns[known])[:, :2]
+        if truth is not None:
+            known = sampled(truth, path.stamps_ns)
+            own = path.poses[np.isin(path.stamps_ns, known.stamps_ns)]
+            errors[name] = (own - known.poses)[:, :2]
     return errors | {TEAM: np.concatenate(list(errors.values()))}
 
 
@@ -167,18 +176,16 @@ def rows_of(
     run: runs.Run, setup: str, filter_name: str, optimum: Mapping[str, np.ndarray]
 ) -> list[Row]:
     """A row for each robot, and one for a team of several."""
-    result = evaluation.evaluate(run)
+    result = runs.evaluate(run)
     frames = [frame for step in run.steps for frame in step.frames]
     places = {
-        "landmark_rmse_m": rmse(landmark_errors(run.landmarks, run.true_landmarks)),
-        "landmark_aligned_rmse_m": rmse(
-            landmark_errors(run.landmarks, run.true_landmarks, is_aligned=True)
-        ),
-        "refined_landmark_rmse_m": rmse(landmark_errors(run.refined_landmarks, run.true_landmarks)),
+        "landmark_rmse_m": result["map_rmse_m"],
+        "landmark_aligned_rmse_m": result["map_aligned_rmse_m"],
+        "refined_landmark_rmse_m": result["refined_map_rmse_m"],
         "rejected": sum(int(frame.is_rejected.sum()) for frame in frames),
-        "ghosts": result["duplicates"],
+        "duplicates": result["duplicates"],
     }
-    own = {"setup": setup, "filter": filter_name, "seed": run.config.seed}
+    own: dict[str, Any] = {"setup": setup, "filter": filter_name, "seed": run.config.seed}
     own |= {"particles": run.config.filter.particles} | places
     figures = result["robots"] | ({TEAM: result} if len(run.robots) > 1 else {})
     names = [
@@ -193,25 +200,6 @@ def rows_of(
         )
         for robot, values in figures.items()
     ]
-
-
-def landmark_errors(
-    estimated: LandmarkMap, true: LandmarkMap, is_aligned: bool = False
-) -> np.ndarray:
-    """(A, 2) [m]: of each true landmark the most observed estimated one with its identity.
-
-    True landmarks that were not found are left out. `is_aligned`: after turning and shifting the
-    estimated ones to lie closest to the true ones.
-    """
-    likeness = estimated.descriptors @ true.descriptors.T
-    counts = np.where(likeness > 0.5, estimated.observations[:, None].astype(float), -1.0)
-    found = np.flatnonzero(counts.max(axis=0, initial=-1.0) > 0)
-    places = estimated.positions[counts[:, found].argmax(axis=0), :2].astype(float)
-    wanted = true.positions[found, :2].astype(float)
-    if is_aligned:
-        angle, shift = alignment(places, wanted)
-        places = places @ rotation(angle).T + shift
-    return places - wanted
 
 
 def write(rows: list[Row], folder: Path) -> None:
@@ -240,7 +228,7 @@ COLUMNS = {
     "landmark_aligned_rmse_m": "landmarks, aligned",
     "refined_landmark_rmse_m": "landmarks, refined",
     "rejected": "rejected",
-    "ghosts": "ghosts",
+    "duplicates": "duplicates",
 }
 """Figures of the table, RMS errors in metres but where it says otherwise."""
 

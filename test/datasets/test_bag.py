@@ -6,6 +6,7 @@ import pytest
 from msg_defs.types import CameraMount
 from multi_robot_slam.datasets import bag, dead_reckoning, views
 from multi_robot_slam.datasets.recording import Commands, Noise, Readings
+from multi_robot_slam.filter.settings import FilterSettings
 from multi_robot_slam.models import stereo
 
 EXACT = Noise(0.05, 0.04, 0.015, 0.0, 0.0, 0.0, 0.0)
@@ -125,4 +126,4 @@ def test_identities_are_far_beyond_the_descriptor_gate():
     vectors = bag._descriptors(np.arange(20))
     apart = np.square(vectors[:, None] - vectors[None]).sum(axis=2)
     np.testing.assert_array_equal(apart, 2 * (1 - np.eye(20)))
-    assert 0 < bag.DESCRIPTOR_GATE < 2
+    assert 0 < FilterSettings().descriptor_gate < 2

@@ -1,6 +1,7 @@
 """`multi_robot_slam convert mrclam`: a made-up recording in full, and the real one."""
 
 import json
+import re
 import shutil
 
 import mrclam_recording
@@ -10,6 +11,7 @@ from mrclam_recording import LANDMARKS, START, lines, true_pose
 
 from multi_robot_slam import runs
 from multi_robot_slam.datasets import mrclam
+from multi_robot_slam.filter.settings import FilterSettings
 from multi_robot_slam.pipeline import offline
 
 
@@ -99,6 +101,65 @@ def test_truth_start_and_map_are_those_of_the_files(bag):
         np.testing.assert_allclose(truth.poses[0], config.start_poses[number - 1], atol=1e-9)
         seconds = truth.stamps_ns[-1] / 1e9 - START
         np.testing.assert_allclose(truth.poses[-1], true_pose(number, seconds), atol=1e-4)
+
+
+ENDS = {(1, "Groundtruth"): 18.05, (2, "Odometry"): 20.0}
+"""Robot 1's truth ends first, then robot 2's odometry; robot 1 drives on to 30 s."""
+
+
+@pytest.fixture
+def uneven(tmp_path):
+    folder = tmp_path / "uneven"
+    folder.mkdir()
+    mrclam_recording.write(folder, ENDS)
+    return folder
+
+
+def test_every_robot_is_kept_as_long_as_its_odometry_and_truth_where_there_is_one(uneven, tmp_path):
+    from multi_robot_slam.datasets import bag
+
+    counts = bag.write(mrclam.read(uneven), tmp_path / "bag", 2.0)
+    config = offline.recorded_config(tmp_path / "bag")
+    frames = {"robot_1": [], "robot_2": []}
+    for event in offline.events(tmp_path / "bag", config):
+        if type(event).__name__ == "ObservationSet":
+            frames[event.robot].append(event.stamp_ns / 1e9 - START)
+    assert [own[0] for own in frames.values()] == pytest.approx([0, 0])
+    assert [own[-1] for own in frames.values()] == pytest.approx([29.5, 20])
+    recorded = runs.recorded(tmp_path / "bag", config.robots)
+    seconds = {name: path.stamps_ns / 1e9 - START for name, path in recorded.truth.items()}
+    assert [own[-1] for own in seconds.values()] == pytest.approx([18.0, 20.0])
+    assert len(recorded.observation_truth) == sum(map(len, frames.values()))
+    assert [counts[name].frames for name in frames] == [60, 41]
+    assert [counts[name].without_truth for name in frames] == [23, 0]
+    assert counts["robot_2"].spare > 0
+
+
+def test_what_has_no_truth_is_told_and_the_rest_is_judged(command, uneven, tmp_path):
+    bag, out = tmp_path / "bag", tmp_path / "out"
+    code, printed, _ = command("convert", "mrclam", uneven, "--out", bag, "--rate", "2")
+    assert code == 0
+    assert "no truth" in printed
+    assert re.search(r"robot_1 .* 60 +23 *\n", printed)
+    assert "Frames without truth are estimated" in " ".join(printed.split())
+    assert command("run", bag, "--out", out, "--particles", "50")[0] == 0
+    result = json.loads((out / "result.json").read_text())
+    assert result["dropped"] == {}
+    assert result["odometry_path_rmse_m"] < 1e-3
+    assert result["path_rmse_m"] < 0.2
+    assert result["batch_path_rmse_m"] < 0.2
+    truth, path = (
+        [line.split()[0] for line in (out / f"{kind}_robot_1.tum").read_text().splitlines()]
+        for kind in ("truth", "trajectory")
+    )
+    assert truth == path[: len(truth)]
+    assert (len(truth), len(path)) == (37, 60)
+
+
+def test_the_filter_is_told_nothing_that_was_found_by_looking_at_the_truth(bag):
+    """Noise of the sensors aside, the settings are the defaults."""
+    own = offline.recorded_config(bag).filter
+    assert own == FilterSettings(motion=own.motion)
 
 
 def test_unknown_barcodes_are_counted_and_left_out(original):

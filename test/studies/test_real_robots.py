@@ -6,7 +6,8 @@ import mrclam_recording
 import numpy as np
 import pytest
 
-from msg_defs.types import LandmarkMap
+from multi_robot_slam import runs
+from multi_robot_slam.config import Config
 from multi_robot_slam.studies import real_robots
 
 
@@ -44,7 +45,7 @@ def test_with_exact_odometry_everything_is_found(rows):
         assert row.odometry_path_rmse_m < 1e-3
         assert row.online_path_rmse_m < 0.5
         assert row.refined_path_rmse_m < 0.05
-        assert (row.rejected, row.ghosts) == (0, 0)
+        assert (row.rejected, row.duplicates) == (0, 0)
         is_yardstick = row.seed == 0 and row.filter == "rejuvenated"
         assert (row.batch_path_rmse_m is not None) == is_yardstick
 
@@ -62,29 +63,45 @@ def test_table_and_rows_agree(rows, tmp_path):
     assert f"| {np.mean(pair):.3f} ± {np.std(pair):.3f} |" in table[2]
 
 
-def landmark_map(positions, identities, observations):
-    count = len(positions)
-    return LandmarkMap(
-        ids=np.arange(count, dtype=np.uint32),
-        positions=np.array(positions, np.float32),
-        covariances=np.zeros((count, 6), np.float32),
-        observations=np.array(observations, np.uint32),
-        robots=np.zeros(count, np.uint32),
-        descriptors=np.eye(128, dtype=np.float32)[identities],
-    )
+def test_seeds_are_counted_from_the_first(tmp_path):
+    config = Config(robots=("a", "b"), start_poses=((0.0, 0.0, 0.0), (1.0, 0.0, 0.0)))
+    jobs = real_robots.plan(tmp_path, config, range(7, 9), particles=3)
+    assert {job.config.seed for job in jobs} == {7, 8}
+    first = {job.config.seed for job in jobs if job.with_yardstick}
+    assert first == {7}
 
 
-def test_the_most_observed_landmark_of_an_identity_counts():
-    true = landmark_map([[0, 0, 0], [5, 0, 0], [0, 5, 0]], [0, 1, 2], [0, 0, 0])
-    found = landmark_map([[9, 9, 0], [1, 0, 0], [5, 1, 0]], [0, 0, 1], [1, 8, 2])
-    np.testing.assert_allclose(real_robots.landmark_errors(found, true), [[1, 0], [0, 1]])
+def test_the_studys_rows_are_of_its_seeds(original, tmp_path):
+    seeds = []
+
+    def only_note(function, jobs):
+        seeds.extend(job.config.seed for job in jobs)
+        return iter(())
+
+    real_robots.study(original, tmp_path, 2, 30, only_note, first_seed=5)
+    assert set(seeds) == {5, 6}
 
 
-def test_alignment_removes_what_a_turn_and_a_shift_explain():
-    places = np.random.default_rng(0).uniform(-5, 5, (6, 3))
-    turn = np.array([[0.8, -0.6, 0], [0.6, 0.8, 0], [0, 0, 1]])
-    true = landmark_map(places, range(6), [0] * 6)
-    found = landmark_map(places @ turn.T + [1, 2, 0], range(6), [1] * 6)
-    assert np.abs(real_robots.landmark_errors(found, true)).max() > 1
-    aligned = real_robots.landmark_errors(found, true, is_aligned=True)
-    np.testing.assert_allclose(aligned, 0, atol=1e-5)
+def test_each_robot_alone_keeps_its_own_camera(tmp_path):
+    mounts = ((0.1, 0, 0, 0, 0, 0), (0.2, 0, 0, 0, 0, 0))
+    starts = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
+    config = Config(robots=("a", "b"), start_poses=starts, mounts=mounts)
+    jobs = real_robots.plan(tmp_path, config, range(1), particles=3)
+    own = {job.config.robots: job.config.mount_of(0).forward_m for job in jobs}
+    assert (own["a",], own["b",]) == (0.1, 0.2)
+
+
+def test_the_maps_error_is_the_one_that_every_run_has(original, tmp_path):
+    """One word, one figure: the study's and that of the run it comes from."""
+    from multi_robot_slam.datasets import bag, mrclam
+    from multi_robot_slam.pipeline import offline
+
+    bag.write(mrclam.read(original), tmp_path / "bag", real_robots.RATE_HZ)
+    config = offline.recorded_config(tmp_path / "bag")
+    (job, *_) = real_robots.plan(tmp_path / "bag", config, range(1), particles=20)
+    run = offline.estimate(job.bag, job.config, warn=pytest.fail, refine=True)
+    result = runs.evaluate(run)
+    row = real_robots.compute(job)[0]
+    assert row.landmark_rmse_m == result["map_rmse_m"]
+    assert row.landmark_aligned_rmse_m == result["map_aligned_rmse_m"]
+    assert row.refined_landmark_rmse_m == result["refined_map_rmse_m"]

@@ -146,7 +146,7 @@ function sight(robot) {
   return {
     x: ends.flatMap(end => [x, end[0], null]),
     y: ends.flatMap(end => [y, end[1], null]),
-    z: ends.flatMap(end => [frames.camera_m, end[2], null]),
+    z: ends.flatMap(end => [robot.camera_m, end[2], null]),
   };
 }
 
