@@ -16,7 +16,7 @@ import numpy as np
 from multi_robot_slam import runs
 from multi_robot_slam.config import Config
 from multi_robot_slam.datasets import bag, mrclam
-from multi_robot_slam.filter.settings import FilterSettings
+from multi_robot_slam.filter.settings import NO_REJUVENATION, FilterSettings
 from multi_robot_slam.pipeline import offline, refinement
 from multi_robot_slam.pipeline.pipeline import Pipeline
 from multi_robot_slam.runs.trajectory_errors import rmse, sampled
@@ -129,8 +129,7 @@ def _filter(name: str, own: FilterSettings, particles: int) -> FilterSettings:
     own = replace(own, particles=particles, threads=1)
     if name == REJUVENATED:
         return own
-    never = replace(own.rejuvenation, ancestors_below=0.0)
-    return replace(own, proposal=name, rejuvenation=never)
+    return replace(own, proposal=name, rejuvenation=NO_REJUVENATION)
 
 
 def _alone(config: Config, robot: int) -> Config:

@@ -3,11 +3,13 @@
 import json
 import re
 import shutil
+from dataclasses import replace
 
 import mrclam_recording
 import numpy as np
 import pytest
 from mrclam_recording import LANDMARKS, START, lines, true_pose
+from scipy.stats import chi2
 
 from multi_robot_slam import runs
 from multi_robot_slam.datasets import mrclam
@@ -157,9 +159,15 @@ def test_what_has_no_truth_is_told_and_the_rest_is_judged(command, uneven, tmp_p
 
 
 def test_the_filter_is_told_nothing_that_was_found_by_looking_at_the_truth(bag):
-    """Noise of the sensors aside, the settings are the defaults."""
-    own = offline.recorded_config(bag).filter
-    assert own == FilterSettings(motion=own.motion)
+    """Noise and cost aside, settings are the defaults; the gate lets all right matches pass."""
+    config = offline.recorded_config(bag)
+    own, default = config.filter, FilterSettings()
+    free = {"gate": own.gate, "motion": own.motion, "rejuvenation": own.rejuvenation}
+    assert own == replace(default, **free)
+    assert own.rejuvenation.ancestors_below == default.rejuvenation.ancestors_below
+    count = sum(map(len, runs.recorded(bag, config.robots).observation_truth.values()))
+    assert count > 50
+    assert chi2.cdf(own.gate, 3) ** count == pytest.approx(chi2.cdf(default.gate, 3), abs=1e-3)
 
 
 def test_unknown_barcodes_are_counted_and_left_out(original):
