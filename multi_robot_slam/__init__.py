@@ -12,15 +12,24 @@ if TYPE_CHECKING:
     from multi_robot_slam.filter.settings import FilterSettings, RejuvenationSettings
     from multi_robot_slam.models.motion import MotionSettings
     from multi_robot_slam.pipeline import Pipeline
+    from multi_robot_slam.pipeline.offline import estimate, events, recorded_config
+    from multi_robot_slam.runs import Run, evaluate
+    from multi_robot_slam.runs import load as load_run
 
-_ROOMS = {
-    "BagReader": "bags",
-    "BagWriter": "bags",
-    "Config": "config",
-    "FilterSettings": "filter.settings",
-    "MotionSettings": "models.motion",
-    "Pipeline": "pipeline",
-    "RejuvenationSettings": "filter.settings",
+_PLACES = {
+    "BagReader": "bags.BagReader",
+    "BagWriter": "bags.BagWriter",
+    "Config": "config.Config",
+    "FilterSettings": "filter.settings.FilterSettings",
+    "MotionSettings": "models.motion.MotionSettings",
+    "Pipeline": "pipeline.Pipeline",
+    "RejuvenationSettings": "filter.settings.RejuvenationSettings",
+    "Run": "runs.Run",
+    "estimate": "pipeline.offline.estimate",
+    "evaluate": "runs.evaluate",
+    "events": "pipeline.offline.events",
+    "load_run": "runs.load",
+    "recorded_config": "pipeline.offline.recorded_config",
 }
 
 __all__ = [
@@ -31,11 +40,18 @@ __all__ = [
     "MotionSettings",
     "Pipeline",
     "RejuvenationSettings",
+    "Run",
+    "estimate",
+    "evaluate",
+    "events",
+    "load_run",
+    "recorded_config",
 ]
 
 
 def __getattr__(name: str) -> Any:
     """Load a room when its name is first used: a command that needs no filter loads none."""
-    if name not in _ROOMS:
+    if name not in _PLACES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_ROOMS[name]}"), name)
+    room, _, own_name = _PLACES[name].rpartition(".")
+    return getattr(import_module(f"{__name__}.{room}"), own_name)

@@ -18,6 +18,7 @@ from msg_defs.types import (
     ObservationTruth,
     PoseSample,
     Sightings,
+    Trajectory,
 )
 from multi_robot_slam.bags import BagWriter
 from multi_robot_slam.config import SECTION, Config
@@ -76,15 +77,10 @@ def write(
     with_sightings = any(len(log.robots) for log in recording.robots.values())
     messages: list[Message] = []
     counts = {}
-    for name, log in recording.robots.items():
+    for name in recording.robots:
         on_robot(name)
-        seen, others = (
-            views(readings, stamps[name], log.commands, recording.noise, recording.mount)
-            for readings in (log.landmarks, log.robots)
-        )
-        messages += _motion(name, log, stamps[name])
-        messages += _frames(name, seen, others, stamps[name], with_sightings)
-        counts[name] = _count(log, seen, others, stamps[name])
+        own, counts[name] = _converted(name, recording, stamps[name], with_sightings)
+        messages += own
     first_ns = int(min(own[0] for own in stamps.values()))
     observations = sum(count.observations for count in counts.values())
     config = configuration(recording, first_ns, observations, with_sightings)
@@ -99,12 +95,32 @@ def write(
     return counts
 
 
+def _converted(
+    name: str, recording: Recording, frames_ns: np.ndarray, with_sightings: bool
+) -> tuple[list[Message], Count]:
+    """All messages of one robot, and what became of its readings."""
+    log = recording.robots[name]
+    seen, others = (
+        views(readings, frames_ns, log.commands, recording.noise, recording.mount)
+        for readings in (log.landmarks, log.robots)
+    )
+    fine = _fine_stamps(frames_ns)
+    truth = sampled(log.truth, fine)
+    messages = [
+        *_odometry(name, log, fine),
+        *_truth(name, truth),
+        *_frames(name, seen, others, frames_ns, with_sightings),
+    ]
+    judged = int(covers(truth, frames_ns).sum())
+    return messages, _count(log, seen, others, len(frames_ns), judged)
+
+
 def frame_stamps(recording: Recording, rate_hz: float) -> dict[str, np.ndarray]:
     """(F,) int64 for each robot: multiples of the period.
 
     From when all robots' odometry has begun and it is known where all of them are, as the filter
-    must start somewhere, to the end of the robot's own odometry. Truth that begins later, pauses or
-    ends earlier ends nothing.
+    must start somewhere, to the end of the robot's own odometry. Truth that pauses or ends earlier
+    ends nothing.
     """
     period = round(1e9 / rate_hz)
     logs = recording.robots.values()
@@ -201,16 +217,21 @@ def _descriptors(rows: np.ndarray) -> np.ndarray:
     return np.eye(DESCRIPTOR_SIZE, dtype=np.float32)[rows]
 
 
-def _motion(robot: str, log: RobotLog, frames_ns: np.ndarray) -> Iterator[Message]:
-    """Odometry from the first frame to the last, each of them included; truth where it is known."""
+def _fine_stamps(frames_ns: np.ndarray) -> np.ndarray:
+    """From the first frame to the last, each of them included."""
+    return np.union1d(frames_ns, np.arange(frames_ns[0], frames_ns[-1], round(1e9 / FINE_HZ)))
+
+
+def _odometry(robot: str, log: RobotLog, stamps_ns: np.ndarray) -> Iterator[Message]:
     odom, base = topics.odom_frame(robot), topics.base_frame(robot)
-    fine = np.arange(frames_ns[0], frames_ns[-1], round(1e9 / FINE_HZ))
-    stamps = np.union1d(frames_ns, fine)
-    poses, twists = poses_at(log.commands, stamps), twists_at(log.commands, stamps)
-    for stamp, pose, twist in zip(stamps, poses, twists, strict=True):
+    poses, twists = poses_at(log.commands, stamps_ns), twists_at(log.commands, stamps_ns)
+    for stamp, pose, twist in zip(stamps_ns, poses, twists, strict=True):
         sample = PoseSample(robot, int(stamp), pose, twist)
         yield sample.stamp_ns, topics.odometry(robot), wire.encode_pose(sample, odom, base)
-    truth = sampled(log.truth, stamps)
+
+
+def _truth(robot: str, truth: Trajectory) -> Iterator[Message]:
+    base = topics.base_frame(robot)
     for stamp, pose in zip(truth.stamps_ns, truth.poses, strict=True):
         sample = PoseSample(robot, int(stamp), pose)
         data = wire.encode_pose(sample, topics.MAP_FRAME, base)
@@ -242,7 +263,7 @@ def _frames(
         yield stamp, topics.observation_truth(robot), wire.encode_observation_truth(truth)
 
 
-def _count(log: RobotLog, seen: Views, others: Views, stamps_ns: np.ndarray) -> Count:
+def _count(log: RobotLog, seen: Views, others: Views, frames: int, judged: int) -> Count:
     readings = len(log.landmarks) + len(log.robots) + log.unknown
     used = len(seen.frames) + len(others.frames)
     return Count(
@@ -251,6 +272,6 @@ def _count(log: RobotLog, seen: Views, others: Views, stamps_ns: np.ndarray) -> 
         sightings=len(others.frames),
         unknown=log.unknown,
         spare=readings - used - log.unknown,
-        frames=len(stamps_ns),
-        without_truth=int((~covers(log.truth, stamps_ns)).sum()),
+        frames=frames,
+        without_truth=frames - judged,
     )

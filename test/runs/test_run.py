@@ -448,3 +448,16 @@ def test_map_file_parses_back_exactly(run, tmp_path):
     variances = np.array([row["cov_zz"] for row in rows], float)
     np.testing.assert_array_equal(variances.astype(np.float32), landmarks.covariances[:, 5])
     assert [int(row["observations"]) for row in rows] == landmarks.observations.tolist()
+
+
+def test_a_script_finds_the_public_names_in_one_place():
+    """Each is what its room exports, and a name that is none is refused."""
+    import multi_robot_slam
+
+    public = {name: getattr(multi_robot_slam, name) for name in multi_robot_slam.__all__}
+    assert public["load_run"] is runs.load
+    assert public["evaluate"] is evaluate
+    assert public["Run"] is Run
+    assert public["estimate"].__module__ == "multi_robot_slam.pipeline.offline"
+    with pytest.raises(AttributeError, match="'nothing'"):
+        _ = multi_robot_slam.nothing
