@@ -9,7 +9,7 @@ import csv
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -25,7 +25,8 @@ from multi_robot_slam.studies import filtering_optimum
 SIGHTINGS, LANDMARKS, ALONE = "together, sightings", "together", "alone"
 SETUPS = (SIGHTINGS, LANDMARKS, ALONE)
 REJUVENATED = "rejuvenated"
-FILTERS = (REJUVENATED, "informed", "motion")
+PROPOSALS: dict[str, Literal["motion", "informed"]] = {"informed": "informed", "motion": "motion"}
+FILTERS = (REJUVENATED, *PROPOSALS)
 """The bag's own, and both proposals without rejuvenation, which takes the odometry as it is."""
 TEAM = "team"
 OPTIMUM_EVERY = 10
@@ -129,7 +130,7 @@ def _filter(name: str, own: FilterSettings, particles: int) -> FilterSettings:
     own = replace(own, particles=particles, threads=1)
     if name == REJUVENATED:
         return own
-    return replace(own, proposal=name, rejuvenation=NO_REJUVENATION)
+    return replace(own, proposal=PROPOSALS[name], rejuvenation=NO_REJUVENATION)
 
 
 def _alone(config: Config, robot: int) -> Config:
