@@ -51,6 +51,8 @@ def test_offline_run_is_judged_again_with_the_same_result(command, bag, tmp_path
     assert command("evaluate", out)[0] == 0
     again = json.loads((out / "result.json").read_text())
     assert again.pop("bag") == first.pop("bag") == str(bag)
+    for key in ("namespace", "version", "scenario", "machine"):
+        assert again.pop(key) == first.pop(key)
     ours, theirs = (figures.pop("robots") | {"team": figures} for figures in (first, again))
     for who, figures in ours.items():
         for name, value in figures.items():
@@ -137,10 +139,10 @@ ROBOTS = ("robot_1", "robot_2")
         (("run", "{bag}", "--scenario", "{tmp}/alone.yaml"), "1 poses for 2 robots"),
         (("run", "{bag}", "--scenario", "{tmp}/twice.yaml"), "name each robot of the team once"),
         (("evaluate", "{bag}"), "holds no estimates"),
-        (("evaluate", "{tmp}/nowhere"), "no bag"),
+        (("evaluate", "{tmp}/nowhere"), "no run"),
         (("compare", "{tmp}"), "name two folders or more"),
         (("compare", "{tmp}", "{tmp}"), "cannot read"),
-        (("export", "{tmp}/nowhere", "--to", "ply", "--out", "{tmp}/x"), "no bag"),
+        (("export", "{tmp}/nowhere", "--to", "ply", "--out", "{tmp}/x"), "no run"),
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_2(command, bag, tmp_path, words, told):
