@@ -7,7 +7,8 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from msg_defs.types import Estimate, Trajectory
-from multi_robot_slam.report.scene import NEUTRAL, SIGMAS, colours
+from multi_robot_slam.report.scene import NEUTRAL, colours
+from multi_robot_slam.report.size import SIGMAS
 from multi_robot_slam.report.timeline import Timeline, first_rows, grouped, thinned
 from multi_robot_slam.runs import Run
 from multi_robot_slam.runs.robot_errors import RobotErrors, robot_errors

@@ -10,7 +10,7 @@ from plotly.offline import get_plotlyjs
 from msg_defs import scenario_file
 from msg_defs.errors import InputError
 from multi_robot_slam.config import SECTION
-from multi_robot_slam.report import charts, scene
+from multi_robot_slam.report import charts, scene, size, slider
 from multi_robot_slam.report.timeline import Timeline, timeline
 from multi_robot_slam.runs import Run, evaluation_table
 from multi_robot_slam.runs.evaluation import Figures
@@ -49,7 +49,7 @@ def write(run: Run, figures: Figures, folder: Path) -> Path:
     """Write `report.html` of a run and its figures (`evaluation.evaluate`); return its path.
 
     The same run gives the same bytes. Long runs are thinned (`timeline.MOST_SAMPLES`,
-    `scene.MOST_LANDMARKS`), as the page itself says.
+    `slider.MOST_LANDMARKS`), as the page itself says.
     """
     path = Path(folder) / FILE
     try:
@@ -66,7 +66,7 @@ def page(run: Run, figures: Figures, title: str) -> str:
     drawn = charts.charts(run, times)
     pictures = {"scene": scene.figure(run, times), **drawn}
     data = {
-        "frames": scene.frames(run, times),
+        "frames": slider.frames(run, times),
         "figures": {name: json.loads(figure.to_json()) for name, figure in pictures.items()},
     }
     here = Path(__file__).with_name("template")
@@ -88,8 +88,8 @@ def page(run: Run, figures: Figures, title: str) -> str:
         charts=drawn,
         colours=scene.colours(run),
         layers=_layers(pictures["scene"]),
-        scales=scene.SCALES,
-        first_scale=scene.first_scale(run),
+        scales=size.SCALES,
+        first_scale=size.first_scale(run),
         hidden=scene.HIDDEN_AT_FIRST,
         inside={name: charts.inside(run, name) for name in run.robots},
         thinning=_thinning(run, times),
@@ -159,7 +159,7 @@ def _thinning(run: Run, times: Timeline) -> list[str]:
     longest = max(len(r.odometry.stamps_ns) for r in run.robots.values())
     if longest > times.most + 1:
         told.append(f"Curves and paths show every n-th sample, {times.most} at most.")
-    left_out = len(run.landmarks.ids) - scene.MOST_LANDMARKS
+    left_out = len(run.landmarks.ids) - slider.MOST_LANDMARKS
     if left_out > 0:
         told.append(f"{left_out} landmarks with the fewest observations are not drawn.")
     return told

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from msg_defs.types import Estimate
 from multi_robot_slam import runs
-from multi_robot_slam.report import charts, page, scene, timeline
+from multi_robot_slam.report import charts, page, scene, size, slider, timeline
 from multi_robot_slam.runs import evaluation
 from multi_robot_slam.runs.colours import ROBOT_COLOURS
 from test.helpers import fake_landmarks, fake_run, moved
@@ -90,7 +90,7 @@ def test_roots_are_square_roots_also_of_singular_covariances():
     factors = np.random.default_rng(0).normal(size=(20, 3, 3))
     factors[:5, :, 2] = 0.0
     covariances = factors @ factors.transpose(0, 2, 1)
-    roots = scene.roots(covariances)
+    roots = size.roots(covariances)
     np.testing.assert_allclose(roots @ roots, 4 * covariances, atol=1e-12)
     np.testing.assert_allclose(roots, roots.transpose(0, 2, 1), atol=1e-12)
 
@@ -125,7 +125,7 @@ def test_walls_stand_on_the_ground_and_close():
 
 def test_frames_hold_what_was_published_and_seen():
     run = fake_run(robots=2, steps=12, landmarks=8)
-    frames = scene.frames(run, timeline.timeline(run))
+    frames = slider.frames(run, timeline.timeline(run))
     ids = unpacked(frames["landmarks"]["ids"])
     assert sorted(ids.tolist()) == run.landmarks.ids.tolist()
     first = unpacked(frames["landmarks"]["first"])
@@ -147,8 +147,8 @@ def test_frames_hold_what_was_published_and_seen():
 @pytest.mark.parametrize(("sigma_m", "scale"), [(5.0, 1), (0.02, 5), (1e-4, 30)])
 def test_ellipsoids_are_drawn_large_enough_to_see_and_no_larger(sigma_m, scale):
     run = replace(fake_run(), landmarks=fake_landmarks(8, first_id=100, sigma_m=sigma_m))
-    assert np.ptp(scene.extent(run), axis=0)[0] == pytest.approx(10.6)
-    assert scene.first_scale(run) == scale
+    assert np.ptp(size.extent(run), axis=0)[0] == pytest.approx(10.6)
+    assert size.first_scale(run) == scale
     assert f'value="{scale}" selected' in page_of(run)
 
 
@@ -158,7 +158,7 @@ def test_sightings_are_shown_unless_rejected():
     step = run.steps[2]
     steps = [*run.steps[:2], replace(step, frames=(replace(step.frames[0], **met),))]
     run = replace(run, steps=steps)
-    frames = scene.frames(run, timeline.timeline(run))
+    frames = slider.frames(run, timeline.timeline(run))
     shown = frames["robots"]["robot_1"]
     assert unpacked(shown["met_starts"]).tolist()[:4] == [0, 0, 0, 1]
     assert unpacked(shown["met"]).tolist()[:1] == [1]
@@ -171,7 +171,7 @@ def test_a_robot_is_shown_from_its_first_pose_and_stays_at_its_last():
         replace(s, frames=s.frames[:1], estimates=s.estimates[:1]) if n in silent else s
         for n, s in enumerate(run.steps)
     ]
-    frames = scene.frames(replace(run, steps=steps), timeline.timeline(run))
+    frames = slider.frames(replace(run, steps=steps), timeline.timeline(run))
     poses = unpacked(frames["robots"]["robot_2"]["poses"]).reshape(-1, 3)
     assert np.isnan(poses[:3]).all()
     np.testing.assert_array_equal(poses[8], poses[7])
