@@ -38,7 +38,8 @@ _WALL: Look = {"linewidth": 4.0, "color": WALL_COLOUR, "label": "wall"}
 _TRUE_PATH: Look = {"linestyle": "-", "linewidth": 1.4, "label": "true path"}
 _ODOMETRY: Look = {"linestyle": "--", "linewidth": 1.2, "label": "odometry"}
 _LIVE: Look = {
-    "linestyle": "none",
+    "linestyle": "-",
+    "linewidth": 0.8,
     "marker": "s",
     "markersize": 4.5,
     "markerfacecolor": "white",
