@@ -45,6 +45,12 @@ def test_a_name_in_two_namespaces_needs_its_namespace():
     assert wire.decode_pose(names.data(other), "alice").robot == "alice"
 
 
+def test_namesakes_in_two_namespaces_become_two():
+    names = Names(["a/robot_1=alice", "b/robot_1=bob"], ("a/robot_1", "b/robot_1"))
+    for path, new in (("a/robot_1", "alice"), ("b/robot_1", "bob")):
+        assert wire.decode_pose(names.data(odometry_of(path)), new).robot == new
+
+
 @pytest.mark.parametrize("rule", ["robot_9=alice", "robot_1", "robot_1=", "robot_1=a/b"])
 def test_what_is_no_rule_is_refused(rule):
     with pytest.raises(InputError, match="is not robot=name"):
