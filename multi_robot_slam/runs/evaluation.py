@@ -50,6 +50,7 @@ def evaluate(run: Run) -> Figures:
     `online_mean_...`, the means as published; `mean_...`, the mean of all particles' paths;
     `refined_...`, smoothed over the best particle's associations; `batch_...`, the yardstick,
     smoothed over the true ones.
+    `truth_coverage`: share of the path's poses whose truth is known, on which these figures rest.
     `pose_nees`: normalised error of mean and covariance as published; 3 is consistent.
     `association_precision`, `association_recall`: see `association_quality`.
 
@@ -107,7 +108,17 @@ def _pose_figures(run: Run) -> tuple[Figures, dict[str, Figures]]:
     team["pose_nees"] = nees(*map(np.concatenate, zip(*published.values(), strict=True)))
     for name, figures in robots.items():
         figures["pose_nees"] = nees(*published[name])
+    team["truth_coverage"] = _coverage(run, errors, errors)
+    for name, figures in robots.items():
+        figures["truth_coverage"] = _coverage(run, errors, errors.keys() & {name})
     return team, robots
+
+
+def _coverage(run: Run, errors: Mapping[str, RobotErrors], names: Iterable[str]) -> float | None:
+    """Share of the paths' poses, of the robots `names`, whose truth is known: 0 to 1."""
+    names = list(names)
+    poses = sum(len(run.robots[name].path.stamps_ns) for name in names)
+    return sum(len(errors[name].path.stamps_ns) for name in names) / poses if poses else None
 
 
 def _path_figures(

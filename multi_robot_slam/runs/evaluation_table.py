@@ -21,6 +21,9 @@ SECTIONS = {
         "batch_path_rmse_m": "yardstick",
         "odometry_path_rmse_m": "odometry",
     },
+    "truth": {
+        "truth_coverage": "share of the path it covers",
+    },
     "heading [rad]": {
         "online_heading_rmse_rad": "live",
         "online_heading_aligned_rmse_rad": "live, aligned alone",

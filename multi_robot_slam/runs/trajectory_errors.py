@@ -8,9 +8,6 @@ import numpy as np
 from msg_defs.errors import InputError
 from msg_defs.types import Trajectory
 
-MIN_OVERLAP = 0.5
-"""Share of an estimate's poses for which the truth must be known."""
-
 LONGEST_GAP = 5.0
 """Truth is interpolated between samples at most so many of its usual (median) periods apart."""
 
@@ -70,14 +67,14 @@ def sampled(truth: Trajectory, stamps_ns: np.ndarray) -> Trajectory:
 def pose_errors(estimate: Trajectory, truth: Trajectory, name: str = "estimate") -> PoseErrors:
     """`estimate` minus `truth`, interpolated linearly at the estimate's stamps.
 
-    Poses whose truth is not known are left out; `InputError` if these are too many.
+    Poses whose truth is not known are left out (`truth_coverage` of `evaluate` tells how many are
+    not); `InputError` if these are all.
     """
     known = sampled(truth, estimate.stamps_ns)
-    if len(known.stamps_ns) < MIN_OVERLAP * len(estimate.stamps_ns):
+    if len(estimate.stamps_ns) and not len(known.stamps_ns):
         raise InputError(
-            f"{name}: the ground truth covers {len(known.stamps_ns)} of "
-            f"{len(estimate.stamps_ns)} poses; "
-            "record it from the start to the end of the run, with the same clock"
+            f"{name}: the ground truth covers none of {len(estimate.stamps_ns)} poses; "
+            "record it during the run, with the same clock"
         )
     difference = estimate.poses[np.isin(estimate.stamps_ns, known.stamps_ns)] - known.poses
     difference[:, 2] = wrap(difference[:, 2])

@@ -156,6 +156,19 @@ def test_what_has_no_truth_is_told_and_the_rest_is_judged(command, uneven, tmp_p
     )
     assert truth == path[: len(truth)]
     assert (len(truth), len(path)) == (37, 60)
+    assert result["robots"]["robot_1"]["truth_coverage"] == pytest.approx(37 / 60)
+
+
+def test_a_robot_whose_truth_ends_soon_is_estimated_and_judged_where_it_can_be(command, tmp_path):
+    source, bag, out = (tmp_path / name for name in ("source", "bag", "out"))
+    source.mkdir()
+    mrclam_recording.write(source, {(1, "Groundtruth"): 5.05})
+    assert command("convert", "mrclam", source, "--out", bag, "--rate", "2")[0] == 0
+    assert command("run", bag, "--out", out, "--particles", "20")[0] == 0
+    result = json.loads((out / "result.json").read_text())
+    coverage = [own["truth_coverage"] for own in result["robots"].values()]
+    assert coverage == pytest.approx([11 / 60, 1.0])
+    assert result["path_rmse_m"] < 0.2
 
 
 def test_the_filter_is_told_nothing_that_was_found_by_looking_at_the_truth(bag):

@@ -38,7 +38,9 @@ PATH_FIGURES = (
     "rte_10m_rmse_rad",
 )
 PATH_KEYS = {path + figure for path in PATHS for figure in PATH_FIGURES}
-ROBOT_KEYS = PATH_KEYS | {"pose_nees", "association_precision", "association_recall"}
+ROBOT_KEYS = PATH_KEYS | {
+    *("pose_nees", "truth_coverage", "association_precision", "association_recall"),
+}
 RESULT_KEYS = ROBOT_KEYS | {
     "landmark_nees",
     "map_rmse_m",
@@ -253,15 +255,28 @@ def test_truth_is_interpolated_with_the_yaw_the_short_way():
     np.testing.assert_allclose(trajectory_errors.pose_errors(estimate, truth).errors, 0, atol=1e-12)
 
 
-def test_poses_outside_the_truth_are_left_out_unless_too_many():
+def test_poses_outside_the_truth_are_left_out_unless_these_are_all():
     run = fake_run(robots=1, steps=20)
     truth = run.robots["robot_1"].truth
     part = Trajectory(truth.stamps_ns[4:14], truth.poses[4:14])
     errors = trajectory_errors.pose_errors(truth, part)
     np.testing.assert_array_equal(errors.stamps_ns, part.stamps_ns)
-    elsewhere = Trajectory(truth.stamps_ns + 11 * PERIOD_NS, truth.poses)
-    with pytest.raises(InputError, match="path of robot_1: the ground truth covers 9 of 20"):
+    elsewhere = Trajectory(truth.stamps_ns + 21 * PERIOD_NS, truth.poses)
+    with pytest.raises(InputError, match="path of robot_1: the ground truth covers none of 20"):
         evaluate(with_robots(run, lambda _, r: replace(r, truth=elsewhere)))
+
+
+def test_what_the_figures_rest_on_is_told():
+    def change(index: int, robot: RobotRun) -> RobotRun:
+        known = (
+            robot.truth if index else Trajectory(robot.truth.stamps_ns[:4], robot.truth.poses[:4])
+        )
+        return replace(robot, truth=known, path=moved(robot.path, (1.0 - index, 0, 0)))
+
+    result = evaluate(with_robots(fake_run(robots=2, steps=20), change))
+    assert [own["truth_coverage"] for own in result["robots"].values()] == [0.2, 1.0]
+    assert result["truth_coverage"] == pytest.approx(24 / 40)
+    assert result["path_rmse_m"] == pytest.approx(np.sqrt(4 / 24))
 
 
 def test_absolute_stamps_lose_no_precision():
