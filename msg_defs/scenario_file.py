@@ -9,8 +9,9 @@ Fields are declared once, as `Annotated[type, limits, "description [unit]"]` in 
 with `msg_defs.types.settings`; limits come from `annotated_types`.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import yaml
 from pydantic import TypeAdapter, ValidationError
@@ -90,7 +91,7 @@ def to_yaml(**sections: object) -> str:
     return yaml.safe_dump(plain, sort_keys=False)
 
 
-def _explain(error: dict, source: str) -> str:
+def _explain(error: Mapping[str, Any], source: str) -> str:
     key = ".".join(str(part) for part in error["loc"])
     if error["type"] == "unexpected_keyword_argument":
         return f"{source}: unknown key '{key}'; remove it or correct its spelling"

@@ -14,10 +14,12 @@ Stamps are integer nanoseconds.
 """
 
 from dataclasses import dataclass, field
-from typing import Annotated, TypeVar
+from typing import Annotated, Any, TypeVar, dataclass_transform
 
 import numpy as np
 from annotated_types import Gt
+
+from msg_defs import limits
 
 DESCRIPTOR_SIZE = 128
 """Elements of a SIFT descriptor; descriptors have unit norm before noise."""
@@ -29,9 +31,22 @@ COVARIANCE_ORDER = ("xx", "xy", "xz", "yy", "yz", "zz")
 Cls = TypeVar("Cls")
 
 
+@dataclass_transform(frozen_default=True)
 def settings(cls: type[Cls]) -> type[Cls]:
-    """Declare a settings record: frozen, and strict when `msg_defs.scenario_file` reads it."""
-    cls.__pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}
+    """Declare a settings record: frozen, and checked whoever makes it (`msg_defs.limits.check`).
+
+    `InputError` names the first field that has the wrong type or lies out of its range. The class's
+    own `__post_init__` then checks what several fields must have in common.
+    """
+    namespace: Any = cls
+    own = getattr(cls, "__post_init__", lambda record: None)
+
+    def check(record: Any) -> None:
+        limits.check(record)
+        own(record)
+
+    namespace.__post_init__ = check
+    namespace.__pydantic_config__ = {"extra": "forbid", "allow_inf_nan": False}
     return dataclass(frozen=True)(cls)
 
 
