@@ -117,7 +117,8 @@ def check(record: Any) -> None:
     Whatever means the same is turned into the field's own type: a list into a tuple, a NumPy number
     into a Python one.
     """
-    for field in fields_of(type(record)):
+    cls: type = type(record)
+    for field in fields_of(cls):
         given = getattr(record, field.name)
         try:
             value = _fitting(field.kind, given)

@@ -9,13 +9,16 @@ Fields are declared once, as `Annotated[type, limits, "description [unit]"]` in 
 with `msg_defs.types.settings`; limits come from `annotated_types`.
 """
 
-from collections.abc import Mapping
+import textwrap
+from collections.abc import Iterator, Mapping
+from dataclasses import is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
 from pydantic import TypeAdapter, ValidationError
 
+from msg_defs import limits
 from msg_defs.errors import InputError
 
 SECTIONS = ("sim_world", "multi_robot_slam")
@@ -89,6 +92,32 @@ def to_yaml(**sections: object) -> str:
     """The inverse of `from_yaml`: every field of every given section, defaults included."""
     plain = {name: to_plain(record) for name, record in sections.items()}
     return yaml.safe_dump(plain, sort_keys=False)
+
+
+def to_commented_yaml(section: str, record: object) -> str:
+    """As `to_yaml`, with what each field means and may be above it."""
+    return f"{section}:\n" + "\n".join(_commented(record, "  ")) + "\n"
+
+
+def inline(value: object) -> str:
+    """A field's value as YAML in one line."""
+    plain = TypeAdapter(type(value)).dump_python(value, mode="json")
+    text = yaml.safe_dump(plain, default_flow_style=True, width=10_000)
+    return text.removesuffix("...\n").strip()
+
+
+def _commented(record: Any, indent: str) -> Iterator[str]:
+    cls: type = type(record)
+    for field in limits.fields_of(cls):
+        value = getattr(record, field.name)
+        if is_dataclass(value):
+            yield f"{indent}{field.name}:"
+            yield from _commented(value, f"{indent}  ")
+        else:
+            said = "; ".join(filter(None, (field.description, field.allowed())))
+            comment = f"{indent}# "
+            yield from textwrap.wrap(said, 100, initial_indent=comment, subsequent_indent=comment)
+            yield f"{indent}{field.name}: {inline(value)}"
 
 
 def _explain(error: Mapping[str, Any], source: str) -> str:

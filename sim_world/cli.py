@@ -52,7 +52,10 @@ def team(
     print(team_scenario(scenario, robots), end="")
 
 
-@app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
+@app.command(
+    context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
+    add_help_option=False,
+)
 def robots(context: typer.Context) -> None:
     """Publish the robots' odometry and observations on ROS topics (needs ROS 2).
 

@@ -2,15 +2,19 @@
 
 import sys
 import time
+from collections.abc import Iterator
 from typing import Annotated
 
 from annotated_types import Ge
-from rclpy.duration import Duration
 from rclpy.node import Node
+from rclpy.publisher import Publisher
 
 from msg_defs import scenario_file as yaml_settings
 from msg_defs import topics, wire
-from msg_defs.ros import node
+from msg_defs.ros.endpoints import Audience, InFlight, publisher
+from msg_defs.ros.parameters import declare
+from msg_defs.ros.spin import EdgeNode, spin
+from msg_defs.ros.usage import Usage
 from msg_defs.types import settings
 from sim_world.robot import START_NS
 from sim_world.scenario import SECTION, Scenario
@@ -24,8 +28,6 @@ this, which is less than the 5 s that a fusion waits for a robot by default.
 """
 MOST_IN_FLIGHT = 200
 """As many steps, if that is less; publishers and subscribers keep 1000."""
-ACKNOWLEDGE_S = 5.0
-"""How long a subscriber that acknowledges nothing holds up the others."""
 POLL_S = 0.01
 
 
@@ -53,8 +55,8 @@ class RobotNode(Node):
         self._frames = topics.odom_frame(name), topics.base_frame(name)
         inputs = topics.odometry(name), topics.observations(name)
         truths = topics.ground_truth(name), topics.observation_truth(name)
-        self.inputs = [node.publisher(self, topic) for topic in inputs]
-        self.truths = [node.publisher(self, topic) for topic in truths]
+        self.inputs = [publisher(self, topic) for topic in inputs]
+        self.truths = [publisher(self, topic) for topic in truths]
 
     def publish(self, step: RobotStep) -> None:
         """Publish everything of one instant."""
@@ -66,54 +68,45 @@ class RobotNode(Node):
         truth.publish(wire.encode_pose(step.truth, topics.MAP_FRAME, base_frame))
         observation_truth.publish(wire.encode_observation_truth(step.observation_truth))
 
-    def is_acknowledged(self) -> bool:
-        """Every subscriber has everything that was published."""
-        publishers = self.inputs + self.truths
-        return all(p.wait_for_all_acked(Duration(nanoseconds=1)) for p in publishers)
 
-    def missing(self, subscribers: int, truth_subscribers: int) -> list[str]:
-        """Topics that have fewer subscribers than expected."""
-        expected = ((self.inputs, subscribers), (self.truths, truth_subscribers))
-        return [
-            publisher.topic_name
-            for publishers, count in expected
-            for publisher in publishers
-            if publisher.get_subscription_count() < count
-        ]
-
-
-class SimWorld(node.EdgeNode):
+class SimWorld(EdgeNode):
     """Plays a simulation; holds the parameters, and publishes what belongs to no robot."""
 
     def __init__(self) -> None:
         super().__init__("sim_world")
-        scenario, playback = node.declare(self, Scenario, Playback, section=SECTION)
+        scenario, playback = declare(self, *USAGE.classes, section=USAGE.section)
         simulation = Simulation(scenario, playback.seed, playback.only or None)
-        self.companions = [RobotNode(name) for name in simulation.start_poses]
-        self._playback = playback
+        self._robots = [RobotNode(name) for name in simulation.start_poses]
+        self.companions = [*self._robots]
+        self._speed = playback.speed
+        self._audience = Audience(self, self._expected(playback), playback.wait_s)
+        self._in_flight = InFlight(self, [p for r in self._robots for p in r.inputs + r.truths])
         self._publish_world(simulation, scenario)
         self._steps = simulation.steps()
         self._next = next(self._steps, None)
-        self._published = self._in_flight = 0
+        self._published = 0
         self._most_in_flight = min(MOST_IN_FLIGHT, int(IN_FLIGHT_S / scenario.period_s))
-        self._created_s = time.monotonic()
-        self._started_s = self._held_up_s = None
+        self._started_s: float | None = None
 
     def work(self) -> float:
         """Publish the next step if it is due; the seconds until there is more to do."""
-        if self._started_s is None:
-            return self._wait_for_subscribers()
-        if self._is_held_up():
+        if self._audience.is_missing() or self._is_held_up():
             return POLL_S
         if self._next is None:
             self.get_logger().info(f"the exploration is over: {self._published} steps published")
             self.done = True
             return 0.0
-        wait_s = self._due_s() - time.monotonic()
+        wait_s = self._due_s(self._next) - time.monotonic()
         if wait_s > 0:
             return wait_s
-        self._publish_step()
+        self._publish_step(self._next)
         return 0.0
+
+    def _expected(self, playback: Playback) -> Iterator[tuple[Publisher, int]]:
+        """Publishers, each with the subscribers it waits for."""
+        for robot in self._robots:
+            yield from ((output, playback.subscribers) for output in robot.inputs)
+            yield from ((output, playback.truth_subscribers) for output in robot.truths)
 
     def _publish_world(self, simulation: Simulation, scenario: Scenario) -> None:
         config = yaml_settings.to_yaml(**{SECTION: scenario})
@@ -122,38 +115,25 @@ class SimWorld(node.EdgeNode):
             (topics.GROUND_TRUTH_WALLS, wire.encode_walls(simulation.walls, START_NS)),
             (topics.WORLD_CONFIG, wire.encode_text(f"# seed: {simulation.seed}\n{config}")),
         ):
-            node.publisher(self, topic).publish(data)
+            publisher(self, topic).publish(data)
 
-    def _wait_for_subscribers(self) -> float:
-        play, log = self._playback, self.get_logger()
-        missing = ", ".join(
-            topic
-            for robot in self.companions
-            for topic in robot.missing(play.subscribers, play.truth_subscribers)
-        )
-        waited_s = time.monotonic() - self._created_s
-        if missing and (play.wait_s == 0 or waited_s < play.wait_s):
-            log.info(f"waiting for subscribers of {missing}", throttle_duration_sec=5.0)
-            return POLL_S
-        if missing:
-            log.warning(f"starting without subscribers of {missing}")
-        log.info(f"publishing {', '.join(robot.get_name() for robot in self.companions)}")
-        self._started_s = time.monotonic()
-        return 0.0
-
-    def _due_s(self) -> float:
-        """When the next step is to be published, on the monotonic clock [s]."""
-        if self._playback.speed == 0:
+    def _due_s(self, step: tuple[RobotStep, ...]) -> float:
+        """When a step is to be published, on the monotonic clock [s]."""
+        if self._started_s is None:
+            self._started_s = time.monotonic()
+            names = ", ".join(robot.get_name() for robot in self._robots)
+            self.get_logger().info(f"publishing {names}")
+        if self._speed == 0:
             return 0.0
-        elapsed_s = (self._next[0].odometry.stamp_ns - START_NS) / 1e9
-        return self._started_s + elapsed_s / self._playback.speed
+        elapsed_s = (step[0].odometry.stamp_ns - START_NS) / 1e9
+        return self._started_s + elapsed_s / self._speed
 
-    def _publish_step(self) -> None:
-        for robot, step in zip(self.companions, self._next, strict=True):
-            robot.publish(step)
+    def _publish_step(self, step: tuple[RobotStep, ...]) -> None:
+        for robot, own in zip(self._robots, step, strict=True):
+            robot.publish(own)
         self._next = next(self._steps, None)
         self._published += 1
-        self._in_flight += 1
+        self._in_flight.add()
 
     def _is_held_up(self) -> bool:
         """Too much is unacknowledged to go on.
@@ -161,22 +141,16 @@ class SimWorld(node.EdgeNode):
         The first step and the last must be acknowledged: that a publisher knows its subscriber
         does not mean that the subscriber knows the publisher, and the end ends the publisher.
         """
-        limit = self._most_in_flight if self._next and self._published > 1 else 0
-        if self._in_flight > limit // 2 and all(r.is_acknowledged() for r in self.companions):
-            self._in_flight, self._held_up_s = 0, None
-        if self._in_flight <= limit:
-            return False
-        self._held_up_s = self._held_up_s or time.monotonic()
-        if time.monotonic() - self._held_up_s < ACKNOWLEDGE_S:
-            return True
-        self.get_logger().warning("a subscriber does not acknowledge: it may lose messages")
-        self._in_flight, self._held_up_s = 0, None
-        return False
+        is_between = self._next is not None and self._published > 1
+        return self._in_flight.is_above(self._most_in_flight if is_between else 0)
+
+
+USAGE = Usage("sim_world robots", "Publish simulated robots.", (Scenario, Playback), SECTION)
 
 
 def main(args: list[str] | None = None) -> int:
     """Publish the simulated robots until the exploration is over; the exit code."""
-    return node.spin(SimWorld, args)
+    return spin(SimWorld, args, USAGE)
 
 
 if __name__ == "__main__":

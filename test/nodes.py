@@ -6,7 +6,8 @@ from contextlib import contextmanager
 import pytest
 
 rclpy = pytest.importorskip("rclpy")
-node = pytest.importorskip("msg_defs.ros.node")
+endpoints = pytest.importorskip("msg_defs.ros.endpoints")
+spin = pytest.importorskip("msg_defs.ros.spin")
 EventsExecutor = pytest.importorskip("rclpy.experimental").EventsExecutor
 
 
@@ -20,19 +21,18 @@ def ros(*arguments):
         rclpy.shutdown()
 
 
-class Listener(node.EdgeNode):
+class Listener(spin.EdgeNode):
     """Keeps the bytes of every message on `topics`, by topic, and sends what a test wants."""
 
     def __init__(self, *topics, name="listener"):
         super().__init__(name)
         self.heard = {topic: [] for topic in topics}
-        for topic in topics:
-            node.subscribe(self, topic, self.heard[topic].append)
+        self.readers = {t: endpoints.subscribe(self, t, self.heard[t].append) for t in topics}
         self._outbox = []
 
     def send(self, messages):
         """Publish (topic, bytes) once everybody spins, so that they arrive in this order."""
-        outputs = {topic: node.publisher(self, topic) for topic, _ in messages}
+        outputs = {topic: endpoints.publisher(self, topic) for topic, _ in messages}
         for publisher in outputs.values():
             wait_until(lambda p=publisher: p.get_subscription_count() > 0)
         self._outbox += [(outputs[topic], data) for topic, data in messages]
@@ -45,19 +45,19 @@ class Listener(node.EdgeNode):
 
 
 def spin_until(condition, *nodes, timeout_s=20.0):
-    """Run `nodes` as `msg_defs.ros.node.spin` does, until `condition()`."""
+    """Run `nodes` as `msg_defs.ros.spin.spin` does, until `condition()`."""
     executor = EventsExecutor()
     for one in nodes:
         for each in [one, *one.companions]:
             executor.add_node(each)
 
-    def spin():
+    def spun():
         for one in nodes:
             one.work()
-            node.take_waiting(one, executor)
+            spin.take_waiting(one, executor)
         return condition()
 
-    wait_until(spin, timeout_s)
+    wait_until(spun, timeout_s)
 
 
 def wait_until(condition, timeout_s=20.0):

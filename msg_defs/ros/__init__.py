@@ -1,1 +1,1 @@
-"""The ROS edge every node shares."""
+"""The ROS edge every node shares: a node's life, its parameters, and its publishers and readers."""

@@ -39,6 +39,9 @@ convert = typer.Typer(
     no_args_is_help=True,
 )
 app.add_typer(convert, name="convert")
+PASSED_ON = {"allow_extra_args": True, "ignore_unknown_options": True}
+"""All that follows a node's verb is the node's to read."""
+
 console = Console()
 messages = Console(stderr=True)
 
@@ -382,7 +385,7 @@ def real(
     console.print(f"Everything is in {target}", markup=False)
 
 
-@app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
+@app.command(context_settings=PASSED_ON, add_help_option=False)
 def fusion(context: typer.Context) -> None:
     """ROS node: the team's odometry and observations in, poses and the landmark map out.
 
@@ -391,7 +394,7 @@ def fusion(context: typer.Context) -> None:
     cli.start_node("multi_robot_slam.nodes.fusion", context.args)
 
 
-@app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
+@app.command(context_settings=PASSED_ON, add_help_option=False)
 def record(context: typer.Context) -> None:
     """ROS node: records all topics of the team, the simulator and the fusion into a bag.
 
@@ -400,7 +403,7 @@ def record(context: typer.Context) -> None:
     cli.start_node("multi_robot_slam.nodes.recorder", context.args)
 
 
-@app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
+@app.command(context_settings=PASSED_ON, add_help_option=False)
 def replay(context: typer.Context) -> None:
     """ROS node: publishes what was recorded in a bag, at its pace, with /clock.
 

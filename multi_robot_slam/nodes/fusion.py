@@ -2,7 +2,7 @@
 
 import sys
 import time
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable
 from typing import Annotated, NamedTuple
 
@@ -14,10 +14,14 @@ from rclpy.duration import Duration
 from msg_defs import scenario_file as yaml_settings
 from msg_defs import topics, wire
 from msg_defs.errors import InputError
-from msg_defs.ros import node
+from msg_defs.ros.endpoints import Audience, is_available, publisher, subscribe
+from msg_defs.ros.parameters import declare
+from msg_defs.ros.spin import SPIN_TIMEOUT_S, EdgeNode, spin
+from msg_defs.ros.usage import Usage
 from msg_defs.types import Estimate, Event, StepRecord, settings
 from multi_robot_slam.config import SECTION, Config
 from multi_robot_slam.models.motion import increment, move
+from multi_robot_slam.nodes.health import Health
 from multi_robot_slam.pipeline.pipeline import Pipeline
 from multi_robot_slam.pipeline.rewind import Rewind
 
@@ -41,6 +45,14 @@ class Publishing:
     ] = 0
 
 
+USAGE = Usage(
+    "multi_robot_slam fusion",
+    "Estimate one landmark map and all robots' paths from the team's odometry and observations.",
+    (Config, Publishing),
+    SECTION,
+)
+
+
 class Message(NamedTuple):
     """One message as it came in."""
 
@@ -51,7 +63,7 @@ class Message(NamedTuple):
     data: bytes
 
 
-class Fusion(node.EdgeNode):
+class Fusion(EdgeNode):
     """Decodes what arrives, hands it to the pipeline, publishes what comes back.
 
     Messages wait in a queue without limit: however long a step takes, none is lost. When time goes
@@ -60,17 +72,18 @@ class Fusion(node.EdgeNode):
 
     def __init__(self) -> None:
         super().__init__("fusion")
-        config, self._settings = node.declare(self, Config, Publishing, section=SECTION)
+        config, self._settings = declare(self, *USAGE.classes, section=USAGE.section)
         self._config = config
         self._health = Health(config.robots, self._settings.silent_s)
         self._begin()
         self.get_logger().info("loading the filter, which is compiled the first time")
         self._pipeline.warm_up()
         self._inbox: deque[Message] = deque()
-        self._outputs = {t: node.publisher(self, t) for t in self._output_topics()}
+        self._outputs = {t: publisher(self, t) for t in self._output_topics()}
         kinds = (topics.pose, topics.mean_pose)
         lossless = [topics.STEPS, *(kind(robot) for robot in config.robots for kind in kinds)]
-        self._unheard = [self._outputs[topic] for topic in lossless]
+        wanted = [(self._outputs[topic], self._settings.subscribers) for topic in lossless]
+        self._audience = Audience(self, wanted)
         config_yaml = yaml_settings.to_yaml(**{SECTION: config})
         self._publish(topics.FUSION_CONFIG, wire.encode_text(config_yaml))
         for robot in config.robots:
@@ -89,7 +102,7 @@ class Fusion(node.EdgeNode):
     def work(self) -> float:
         """Handle the oldest message; after a silence, the frames held back."""
         silence_s = self._health.silence_s()
-        if self._inbox and self._waits_for_subscribers():
+        if self._inbox and self._audience.is_missing():
             return POLL_S
         if self._inbox:
             self._handle(self._inbox.popleft())
@@ -98,7 +111,7 @@ class Fusion(node.EdgeNode):
             self._publish_pictures()
         elif 0 < self._settings.stop_after_s < silence_s < np.inf:
             self.done = not self._pipeline.pending
-        return 0.0 if self._inbox else node.SPIN_TIMEOUT_S
+        return 0.0 if self._inbox else SPIN_TIMEOUT_S
 
     def close(self) -> None:
         """Publish the final paths, map and counts."""
@@ -110,7 +123,7 @@ class Fusion(node.EdgeNode):
 
     def _output_topics(self) -> list[topics.Topic]:
         outputs = topics.fusion_outputs(self._config.robots)
-        wants_tf = self._settings.publish_tf and node.is_available(topics.TF)
+        wants_tf = self._settings.publish_tf and is_available(topics.TF)
         return [topic for topic in outputs if wants_tf or topic != topics.TF]
 
     def _begin(self) -> None:
@@ -128,20 +141,7 @@ class Fusion(node.EdgeNode):
             self._inbox.append(Message(time.monotonic(), robot, decode, data))
             self._health.hear(robot)
 
-        node.subscribe(self, topic, keep)
-
-    def _waits_for_subscribers(self) -> bool:
-        """What is published before a recorder knows of it is lost; so what comes in waits."""
-        self._unheard = [
-            publisher
-            for publisher in self._unheard
-            if publisher.get_subscription_count() < self._settings.subscribers
-        ]
-        if self._unheard:
-            missing = ", ".join(publisher.topic_name for publisher in self._unheard)
-            text = f"waiting for subscribers of {missing}"
-            self.get_logger().info(text, throttle_duration_sec=WARNING_PERIOD_S)
-        return bool(self._unheard)
+        subscribe(self, topic, keep)
 
     def _handle(self, message: Message) -> None:
         self._health.lag_s = time.monotonic() - message.arrived_s
@@ -213,68 +213,6 @@ class Fusion(node.EdgeNode):
         self.get_logger().warning(text, throttle_duration_sec=WARNING_PERIOD_S)
 
 
-class Health:
-    """What `/diagnostics` tells."""
-
-    def __init__(self, robots: tuple[str, ...], silent_s: float) -> None:
-        self.lag_s = 0.0
-        self.landmarks = 0
-        self.step: StepRecord | None = None
-        self._silent_s = silent_s
-        self._heard_s = dict.fromkeys(robots, -np.inf)
-        self._frames = dict.fromkeys(robots, 0)
-
-    def start_over(self) -> None:
-        """Forget the steps."""
-        self.landmarks, self.step = 0, None
-        self._frames = dict.fromkeys(self._frames, 0)
-
-    def hear(self, robot: str) -> None:
-        """A message of `robot` arrived now."""
-        self._heard_s[robot] = time.monotonic()
-
-    def note(self, step: StepRecord) -> None:
-        """A step was done."""
-        self.step = step
-        for frame in step.frames:
-            self._frames[frame.robot] += 1
-
-    def progress(self) -> str:
-        """One line about the last step."""
-        step = self.step
-        return (
-            f"step {step.step}, {len(step.frames)} robots, {self.landmarks} landmarks, "
-            f"{step.effective_particles:.0f} effective particles, lag {self.lag_s:.2f} s"
-        )
-
-    def silence_s(self) -> float:
-        """Time since the last message of any robot [s]."""
-        return time.monotonic() - max(self._heard_s.values())
-
-    def statuses(self, queued: int, pending: int, dropped: Counter[str]) -> list[wire.Status]:
-        """One status for the filter, one for each robot."""
-        values = {
-            "steps": self.step.step if self.step else 0,
-            "landmarks": self.landmarks,
-            "effective particles": f"{self.step.effective_particles:.1f}" if self.step else "",
-            "step duration [ms]": f"{self.step.duration_ms:.1f}" if self.step else "",
-            "messages in the queue": queued,
-            "frames held back": pending,
-            "lag [s]": f"{self.lag_s if queued else 0:.3f}",
-            **{f"dropped: {reason}": count for reason, count in sorted(dropped.items())},
-        }
-        level, message = (wire.WARN, "messages were dropped") if dropped else (wire.OK, "running")
-        filter_status = wire.Status("fusion", _texts(values), level, message)
-        return [filter_status, *(self._robot_status(robot) for robot in self._heard_s)]
-
-    def _robot_status(self, robot: str) -> wire.Status:
-        silence_s = time.monotonic() - self._heard_s[robot]
-        is_silent = silence_s > self._silent_s
-        level, message = (wire.WARN, "silent") if is_silent else (wire.OK, "heard")
-        values = {"last heard [s ago]": f"{silence_s:.1f}", "frames": self._frames[robot]}
-        return wire.Status(f"fusion: {robot}", _texts(values), level, message, robot)
-
-
 def odom_in_map(estimate: np.ndarray, odometry: np.ndarray) -> np.ndarray:
     """Pose (3,) of `odom` in `map` that puts the `odometry` pose (3,) at the `estimate` (3,)."""
     pose = estimate[:, None].copy()
@@ -282,13 +220,9 @@ def odom_in_map(estimate: np.ndarray, odometry: np.ndarray) -> np.ndarray:
     return pose[:, 0]
 
 
-def _texts(values: dict[str, object]) -> dict[str, str]:
-    return {key: str(value) for key, value in values.items()}
-
-
 def main(args: list[str] | None = None) -> int:
     """Run the fusion until interrupted; the exit code."""
-    return node.spin(Fusion, args)
+    return spin(Fusion, args, USAGE)
 
 
 if __name__ == "__main__":

@@ -6,12 +6,16 @@ from collections import Counter
 from collections.abc import Callable
 from datetime import datetime
 from functools import partial
+from pathlib import Path
 from typing import Annotated
 
 from annotated_types import Len
 
 from msg_defs import topics
-from msg_defs.ros import node
+from msg_defs.ros.endpoints import is_available, subscribe
+from msg_defs.ros.parameters import declare
+from msg_defs.ros.spin import EdgeNode, spin
+from msg_defs.ros.usage import Usage
 from msg_defs.types import settings
 from multi_robot_slam.bags import FLUSH_PERIOD_S, BagWriter
 
@@ -22,6 +26,13 @@ class Recording:
 
     out: Annotated[str, "bag folder to write, which must not exist; empty is recording_<time>"] = ""
     robots: Annotated[tuple[str, ...], Len(1), "names of the robots to record"] = ("robot_1",)
+
+
+USAGE = Usage(
+    "multi_robot_slam record",
+    "Record all topics of the team, the simulator and the fusion into a bag.",
+    (Recording,),
+)
 
 
 def recorded(robots: tuple[str, ...]) -> list[topics.Topic]:
@@ -42,18 +53,18 @@ def recorded(robots: tuple[str, ...]) -> list[topics.Topic]:
     ]
 
 
-class Recorder(node.EdgeNode):
+class Recorder(EdgeNode):
     """Writes each message with the time it was received."""
 
     def __init__(self) -> None:
         super().__init__("recorder")
-        (recording,) = node.declare(self, Recording)
-        self._folder = recording.out or f"recording_{datetime.now():%Y%m%d_%H%M%S}"
+        (recording,) = declare(self, *USAGE.classes)
+        self._folder = Path(recording.out or f"recording_{datetime.now():%Y%m%d_%H%M%S}")
         self._bag = BagWriter(self._folder)
         self._counts: Counter[str] = Counter()
-        for topic in filter(node.is_available, recorded(recording.robots)):
+        for topic in filter(is_available, recorded(recording.robots)):
             resolved = topic._replace(name=self.resolve_topic_name(topic.name))
-            node.subscribe(self, topic, partial(self._record, resolved))
+            subscribe(self, topic, partial(self._record, resolved))
         self.create_timer(FLUSH_PERIOD_S, partial(self._guarded, self._bag.flush))
         self.get_logger().info(f"recording {', '.join(recording.robots)} into {self._folder}")
 
@@ -82,7 +93,7 @@ class Recorder(node.EdgeNode):
 
 def main(args: list[str] | None = None) -> int:
     """Record until interrupted; the exit code."""
-    return node.spin(Recorder, args)
+    return spin(Recorder, args, USAGE)
 
 
 if __name__ == "__main__":

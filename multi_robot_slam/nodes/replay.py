@@ -1,18 +1,18 @@
 """ROS: publishes what was recorded in a bag, at its pace, with /clock."""
 
 import sys
-import time
 from pathlib import Path
 from typing import Annotated
 
 from annotated_types import Ge
-from rclpy.duration import Duration
-from rclpy.publisher import Publisher
 from std_srvs.srv import SetBool
 
 from msg_defs import topics, wire
 from msg_defs.errors import InputError
-from msg_defs.ros import node
+from msg_defs.ros.endpoints import Audience, InFlight, publisher
+from msg_defs.ros.parameters import declare
+from msg_defs.ros.spin import EdgeNode, spin
+from msg_defs.ros.usage import Usage
 from msg_defs.topics import SENSOR, Topic
 from msg_defs.types import settings
 from multi_robot_slam.bags import BagReader, Record, absolute, playback
@@ -24,8 +24,6 @@ MOST_IN_FLIGHT = 100
 
 So a message that is lost on the way and sent again is no further behind later ones than that.
 """
-ACKNOWLEDGE_S = 5.0
-"""How long a subscriber that acknowledges nothing holds up the others."""
 AT_ONCE = 20
 """Messages published before the node looks what has come in."""
 POLL_S = 0.01
@@ -53,12 +51,20 @@ class Playback:
     wait_s: Annotated[float, Ge(0), "start without them after so long; 0 waits forever [s]"] = 0.0
 
 
-class Replay(node.EdgeNode):
+USAGE = Usage(
+    "multi_robot_slam replay",
+    "Publish what was recorded in a bag, at its pace, with /clock: by default all but what a "
+    "fusion made of it, so that another fusion can run on it.",
+    (Playback,),
+)
+
+
+class Replay(EdgeNode):
     """Publishes the recorded bytes on the recorded topics."""
 
     def __init__(self) -> None:
         super().__init__("replay")
-        (self._play,) = node.declare(self, Playback)
+        (self._play,) = declare(self, *USAGE.classes)
         self._reader = _open(self._play.bag)
         for warning in self._reader.warnings:
             self.get_logger().warning(warning)
@@ -66,7 +72,7 @@ class Replay(node.EdgeNode):
         self._names = playback.Names(self._play.rename, robots)
         if self._play.rename and self._play.everything:
             raise InputError("rename: a fusion's words keep the names; leave out everything:=true")
-        self._begin_ns, self._end_ns = self._reader.summary.span_ns
+        self._begin_ns, self._end_ns = self._reader.summary.span_ns or (0, 0)
         self._start_ns = self._begin_ns + round(self._play.start_s * 1e9)
         if self._start_ns > self._end_ns:
             raise InputError(
@@ -74,25 +80,26 @@ class Replay(node.EdgeNode):
             )
         self._wanted = self._available()
         self._outputs = {
-            name: node.publisher(self, self._names.topic(topic))
-            for name, topic in self._wanted.items()
+            name: publisher(self, self._names.topic(topic)) for name, topic in self._wanted.items()
         }
         kinds = (topics.odometry, topics.observations)
         inputs = {absolute(kind(robot).name) for robot in robots for kind in kinds}
-        self._inputs = [p for name, p in self._outputs.items() if name in inputs]
-        self._clock_output = node.publisher(self, CLOCK) if self._play.clock_hz else None
+        expected = [(p, self._play.subscribers) for n, p in self._outputs.items() if n in inputs]
+        self._audience = Audience(self, expected, self._play.wait_s)
+        self._in_flight = InFlight(self, list(self._outputs.values()))
+        self._clock_output = publisher(self, CLOCK) if self._play.clock_hz else None
         self.create_service(SetBool, "~/pause", self._pause)
         self._pace = playback.Pace(self._play.rate) if self._play.rate else None
         self._is_paused = self._is_started = False
-        self._passes = self._published = self._in_flight = 0
+        self._passes = self._published = 0
         self._begun: set[str] = set()
-        self._held_up_s: float | None = None
-        self._created_s = time.monotonic()
 
     def work(self) -> float:
         """Publish what is due; the seconds until there is more to do."""
+        if self._audience.is_missing():
+            return POLL_S
         if not self._is_started:
-            return self._wait_for_subscribers()
+            self._start()
         for _ in range(AT_ONCE):
             wait_s = self._go_on()
             if wait_s > 0 or self.done:
@@ -105,10 +112,12 @@ class Replay(node.EdgeNode):
             return POLL_S
         if self._next is None:
             return self._end_pass()
-        wait_s = self._pace.wait_s(self._next.stamp_ns) if self._pace else 0.0
-        self._tick(self._pace.now_ns() if wait_s > 0 else self._next.stamp_ns)
-        if wait_s > 0:
-            return min(wait_s, self._tick_s()) if self._clock_output else wait_s
+        if self._pace:
+            wait_s = self._pace.wait_s(self._next.stamp_ns)
+            if wait_s > 0:
+                self._tick(self._pace.now_ns())
+                return min(wait_s, self._tick_s()) if self._clock_output else wait_s
+        self._tick(self._next.stamp_ns)
         self._publish(self._next)
         return 0.0
 
@@ -130,26 +139,13 @@ class Replay(node.EdgeNode):
             self.get_logger().info(f"left out: {', '.join(left_out)}")
         return {name: topic for name, topic in wanted.items() if name not in missing}
 
-    def _wait_for_subscribers(self) -> float:
-        play, log = self._play, self.get_logger()
-        missing = ", ".join(
-            publisher.topic_name
-            for publisher in self._inputs
-            if publisher.get_subscription_count() < play.subscribers
-        )
-        waited_s = time.monotonic() - self._created_s
-        if missing and (play.wait_s == 0 or waited_s < play.wait_s):
-            log.info(f"waiting for subscribers of {missing}", throttle_duration_sec=5.0)
-            return POLL_S
-        if missing:
-            log.warning(f"starting without subscribers of {missing}")
-        log.info(
+    def _start(self) -> None:
+        self.get_logger().info(
             f"replaying {self._since(self._end_ns)}, {len(self._wanted)} of "
             f"{len(self._reader.summary.topics)} topics, from {self._since(self._start_ns)} on"
         )
         self._is_started = True
         self._begin_pass()
-        return 0.0
 
     def _begin_pass(self) -> None:
         self._passes += 1
@@ -188,11 +184,11 @@ class Replay(node.EdgeNode):
         self._outputs[record.topic].publish(self._names.data(record))
         self._tell(self._gaps.note(record.topic, record.stamp_ns))
         self._published += 1
-        self._in_flight += 1
+        self._in_flight.add()
         if record.topic not in self._begun:
             # That we know a subscriber does not mean that it knows us.
             self._begun.add(record.topic)
-            self._in_flight += MOST_IN_FLIGHT
+            self._in_flight.add(MOST_IN_FLIGHT)
         self._next = next(self._records, None)
         self.get_logger().info(
             f"{self._since(record.stamp_ns)} of {self._since(self._end_ns)}, "
@@ -206,19 +202,7 @@ class Replay(node.EdgeNode):
 
     def _is_held_up(self) -> bool:
         """Too much is unacknowledged to go on; the end of a pass must be acknowledged whole."""
-        limit = MOST_IN_FLIGHT if self._next else 0
-        if self._in_flight <= limit // 2:
-            return False
-        if all(_is_acknowledged(publisher) for publisher in self._outputs.values()):
-            self._in_flight, self._held_up_s = 0, None
-        if self._in_flight <= limit:
-            return False
-        self._held_up_s = self._held_up_s or time.monotonic()
-        if time.monotonic() - self._held_up_s < ACKNOWLEDGE_S:
-            return True
-        self.get_logger().warning("a subscriber does not acknowledge: it may lose messages")
-        self._in_flight, self._held_up_s = 0, None
-        return False
+        return self._in_flight.is_above(MOST_IN_FLIGHT if self._next else 0)
 
     def _pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         self._is_paused = bool(request.data)
@@ -243,13 +227,9 @@ def _is_installed(topic: Topic) -> bool:
         return False
 
 
-def _is_acknowledged(publisher: Publisher) -> bool:
-    return publisher.wait_for_all_acked(Duration(nanoseconds=1))
-
-
 def main(args: list[str] | None = None) -> int:
     """Replay until the recording is over, or until interrupted; the exit code."""
-    return node.spin(Replay, args)
+    return spin(Replay, args, USAGE)
 
 
 if __name__ == "__main__":

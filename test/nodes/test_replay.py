@@ -86,7 +86,7 @@ def play(bag, *given, listen_to):
 
 def test_says_what_was_recorded_but_not_what_the_fusion_made_of_it(bag):
     outputs = topics.fusion_outputs(ROBOTS)
-    heard = play(bag, listen_to=[*SENT, *WORLD, *filter(nodes.node.is_available, outputs)])
+    heard = play(bag, listen_to=[*SENT, *WORLD, *filter(nodes.endpoints.is_available, outputs)])
     expected = by_topic(bag)
     for topic in [*SENT, *WORLD]:
         assert heard[topic] == expected[absolute(topic.name)] != []
@@ -307,5 +307,5 @@ def test_topics_that_cannot_be_published_are_left_out(tmp_path, capfd):
     with nodes.ros(*parameters(tmp_path / "bag", "everything:=true")):
         node = replay.Replay()
         nodes.spin_until(lambda: node.done, node)
-    if not nodes.node.is_available(topics.TF):
+    if not nodes.endpoints.is_available(topics.TF):
         assert "types are not installed, left out: /tf" in capfd.readouterr().err

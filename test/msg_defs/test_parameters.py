@@ -1,20 +1,15 @@
-import os
-import signal
-import time
 from dataclasses import field, replace
-from pathlib import Path
 from typing import Annotated
 
 import pytest
 from annotated_types import Ge, Gt, Interval
 
-from msg_defs import topics, wire
 from msg_defs.errors import InputError
 from msg_defs.types import settings
 from multi_robot_slam.config import SECTION, Config
 
 nodes = pytest.importorskip("nodes")
-node = nodes.node
+parameters = pytest.importorskip("msg_defs.ros.parameters")
 
 pytestmark = pytest.mark.usefixtures("ros_domain_id")
 
@@ -40,8 +35,8 @@ class Edge:
 def declared(*arguments, classes=(Outer, Edge), section=None):
     """The settings that `arguments` give, and what the node then says of each parameter."""
     with nodes.ros(*arguments):
-        edge_node = node.EdgeNode("declaring")
-        records = node.declare(edge_node, *classes, section=section)
+        edge_node = nodes.spin.EdgeNode("declaring")
+        records = parameters.declare(edge_node, *classes, section=section)
         names = ("count", "rows", "names", "inner.width_m", "speed")
         known = [name for name in names if edge_node.has_parameter(name)]
         said = {
@@ -118,106 +113,3 @@ def test_parameters_override_the_scenario_which_overrides_defaults(tmp_path):
 def test_scenario_that_does_not_exist_is_refused():
     with pytest.raises(InputError, match="nowhere"):
         declared("-p", "scenario:=nowhere.yaml", classes=(Config,), section=SECTION)
-
-
-FLOOD = topics.Topic("flood", "std_msgs/msg/String")
-
-
-class Flooded(node.EdgeNode):
-    """Is sent ten times what a subscription keeps, 300 messages while it does one piece of work."""
-
-    def __init__(self):
-        super().__init__("flooded")
-        self.heard = []
-        node.subscribe(self, FLOOD, self.heard.append)
-        self._output = node.publisher(self, FLOOD)
-        self._sent = []
-        self._deadline = time.monotonic() + 20.0
-
-    def work(self):
-        if len(self._sent) < 10_000:
-            texts = [wire.encode_text(str(len(self._sent) + i)) for i in range(300)]
-            self._sent += texts
-            for text in texts:
-                self._output.publish(text)
-        self.done = len(self.heard) >= len(self._sent) or time.monotonic() > self._deadline
-        self.done &= len(self._sent) >= 10_000
-        return 0.0
-
-    def close(self):
-        assert self.heard == self._sent
-
-
-@pytest.fixture
-def signal_handlers():
-    """`spin` takes SIGINT and SIGTERM for itself; give them back."""
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    yield
-    for number, handler in handlers.items():
-        signal.signal(number, handler)
-
-
-@pytest.mark.usefixtures("signal_handlers")
-def test_busy_node_takes_what_waits_and_loses_nothing():
-    assert node.spin(Flooded, []) == 0
-
-
-class Interrupted(node.EdgeNode):
-    """Is sent signals while it works, and once more while it closes."""
-
-    closed = 0
-
-    def __init__(self, *signals):
-        super().__init__("interrupted")
-        self._signals = signals
-        self._output = node.publisher(self, FLOOD)
-
-    def work(self):
-        for number in self._signals:
-            os.kill(os.getpid(), number)
-        return 0.0
-
-    def close(self):
-        os.kill(os.getpid(), self._signals[0])
-        self._output.publish(wire.encode_text("the last word"))
-        Interrupted.closed += 1
-
-
-@pytest.mark.usefixtures("signal_handlers")
-@pytest.mark.parametrize(
-    "signals", [[signal.SIGINT], [signal.SIGTERM], [signal.SIGINT, signal.SIGINT, signal.SIGTERM]]
-)
-def test_signals_end_a_node_once_and_cleanly(signals):
-    closed = Interrupted.closed
-    assert node.spin(lambda: Interrupted(*signals), []) == 0
-    assert Interrupted.closed == closed + 1
-    assert not nodes.rclpy.ok()
-
-
-@pytest.mark.usefixtures("signal_handlers")
-@pytest.mark.parametrize(
-    ("arguments", "reason"),
-    [
-        (["speed:=1"], "unexpected argument 'speed:=1'"),
-        (["--ros-args", "-p", "speed:="], "speed"),
-        (["--ros-args", "-p", "speed:=[1, a]"], "speed"),
-        (["--ros-args", "-p", "speed:=-1.0"], "speed = -1.0"),
-        (["--ros-args", "-r", "__ns:=/a b"], "a b"),
-    ],
-)
-def test_bad_input_is_one_line_and_exit_code_2(arguments, reason, capfd):
-    def make():
-        made = node.EdgeNode("declaring")
-        node.declare(made, Edge)
-        return made
-
-    assert node.spin(make, arguments) == 2
-    said = [line for line in capfd.readouterr().err.splitlines() if "[rcl]" not in line]
-    assert len(said) == 1
-    assert said[0].startswith("error: ")
-    assert reason in said[0]
-
-
-def test_discovery_stays_on_this_machine_unless_the_user_says_otherwise():
-    assert node.ENVIRONMENT["ROS_AUTOMATIC_DISCOVERY_RANGE"] == "LOCALHOST"
-    assert Path(node.ENVIRONMENT["FASTRTPS_DEFAULT_PROFILES_FILE"]).is_file()

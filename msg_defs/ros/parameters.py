@@ -1,0 +1,127 @@
+"""Every field of a settings class is a ROS parameter, with its description and range."""
+
+from collections.abc import Mapping
+from math import inf
+from operator import attrgetter
+from typing import Any, cast, get_args, get_origin
+
+from pydantic import TypeAdapter
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from msg_defs import limits, scenario_file
+from msg_defs.errors import InputError
+
+QOS_OVERRIDES = "qos_overrides."
+"""How the names begin of parameters that change a topic's quality of service."""
+
+_ROS_OWN = ("use_sim_time", "start_type_description_service")
+_INT64_MAX = 2**63 - 1
+
+
+def given(node: Node) -> dict[str, Any]:
+    """The parameters that the node has, by name; before any is declared, those the user gave."""
+    found = cast(Mapping[str, Parameter], node.get_parameters_by_prefix(""))
+    return {name: parameter.value for name, parameter in found.items()}
+
+
+def declare(node: Node, *classes: type, section: str | None = None) -> list[Any]:
+    """Declare every field of the settings `classes` as a read-only parameter; their values.
+
+    Nested settings get dotted names, a tuple of tuples becomes one flat array. With `section`, a
+    parameter `scenario` names a scenario (`scenario_file.find_scenario`) whose `section` supplies
+    the defaults of the first class. Unknown parameters and values out of range raise `InputError`.
+    """
+    values = given(node)
+    defaults = [cls() for cls in classes]
+    if section is not None:
+        scenario = values.get("scenario", "")
+        description = ParameterDescriptor(
+            description="scenario, a file or a name", read_only=True, dynamic_typing=True
+        )
+        _declare_one(node, "scenario", scenario, description)
+        if scenario:
+            path = scenario_file.find_scenario(str(scenario))
+            defaults[0] = scenario_file.from_file(classes[0], path, section)
+    records = [_override(default, values) for default in defaults]
+    for record in records:
+        for leaf in limits.leaves(type(record)):
+            value = _flat(attrgetter(leaf.name)(record))
+            _declare_one(node, leaf.name, value, _describe(leaf))
+    _refuse_unknown(node, values)
+    return records
+
+
+def _override(default: Any, values: Mapping[str, Any]) -> Any:
+    """`default` with the given parameters in place of its own values."""
+    plain = TypeAdapter(type(default)).dump_python(default)
+    for leaf in limits.leaves(type(default)):
+        if leaf.name in values:
+            *parents, key = leaf.name.split(".")
+            inner = plain
+            for parent in parents:
+                inner = inner[parent]
+            inner[key] = _unflat(leaf, values[leaf.name])
+    return scenario_file.from_mapping(type(default), plain, "parameter")
+
+
+def _row_size(kind: Any) -> int:
+    """Length of the inner tuples of a tuple of tuples, else 0."""
+    inner = get_args(kind)[:1]
+    return len(get_args(inner[0])) if inner and get_origin(inner[0]) is tuple else 0
+
+
+def _flat(value: Any) -> Any:
+    if not isinstance(value, tuple):
+        return value
+    rows = [row if isinstance(row, tuple) else (row,) for row in value]
+    return [element for row in rows for element in row]
+
+
+def _unflat(leaf: limits.Field, value: Any) -> Any:
+    size = _row_size(leaf.kind)
+    if not isinstance(value, str | bytes) and hasattr(value, "__len__"):
+        value = list(value)
+    if not size or not isinstance(value, list):
+        return value
+    if len(value) % size:
+        raise InputError(f"parameter: {leaf.name}: {len(value)} numbers do not make rows of {size}")
+    return [value[i : i + size] for i in range(0, len(value), size)]
+
+
+def _declare_one(node: Node, name: str, value: Any, descriptor: ParameterDescriptor) -> None:
+    if node.has_parameter(name):
+        node.undeclare_parameter(name)
+    node.declare_parameter(name, value, descriptor, ignore_override=True)
+
+
+def _describe(leaf: limits.Field) -> ParameterDescriptor:
+    """Description, unit and closed range; `from_mapping` has checked the open bounds already."""
+    descriptor = ParameterDescriptor(
+        description=leaf.description, read_only=True, dynamic_typing=True
+    )
+    bounds = limits.bounds_of(leaf.metadata)
+    low = bounds.gt if bounds.ge is None else bounds.ge
+    high = bounds.lt if bounds.le is None else bounds.le
+    if low is None and high is None:
+        return descriptor
+    if leaf.kind is float:
+        low = -inf if low is None else float(low)
+        high = inf if high is None else float(high)
+        descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high)]
+    if leaf.kind is int:
+        low = -_INT64_MAX if low is None else int(low)
+        high = _INT64_MAX if high is None else int(high)
+        descriptor.integer_range = [IntegerRange(from_value=low, to_value=high)]
+    return descriptor
+
+
+def _refuse_unknown(node: Node, names: Mapping[str, Any]) -> None:
+    for name in names:
+        is_ros_own = name in _ROS_OWN or name.startswith(QOS_OVERRIDES)
+        if not is_ros_own and not node.describe_parameter(name).read_only:
+            raise InputError(
+                f"unknown parameter '{name}' of node {node.get_name()}; "
+                "remove it or correct its spelling"
+            )
