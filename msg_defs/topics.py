@@ -1,7 +1,10 @@
 """Every topic and frame id, written once. Names are relative, so that namespaces work."""
 
+import re
 from collections.abc import Iterable
 from typing import NamedTuple
+
+from msg_defs.errors import InputError
 
 STREAM = "stream"
 """Reliable, keep the last 1000: nothing may be lost."""
@@ -11,6 +14,8 @@ SENSOR = "sensor"
 """Best effort, depth 1: only the newest counts."""
 
 MAP_FRAME = "map"
+CAMERA_FRAME = "{robot}/camera_left_optical"
+"""Where a robot's clouds are, by default."""
 
 
 class Topic(NamedTuple):
@@ -96,10 +101,19 @@ def base_frame(robot: str) -> str:
     return f"{robot}/base_link"
 
 
-def camera_frame(robot: str) -> str:
-    return f"{robot}/camera_left_optical"
+def camera_frame(robot: str, template: str = CAMERA_FRAME) -> str:
+    return template.replace("{robot}", robot)
 
 
 def robot_name(index: int) -> str:
     """Default name of the team's robot `index`, counted from 0."""
     return f"robot_{index + 1}"
+
+
+def require_robot_name(name: str) -> None:
+    """`InputError` where a name cannot be one part of a topic."""
+    if not re.fullmatch("[A-Za-z_][A-Za-z0-9_]*", name):
+        raise InputError(
+            f"robot name {name!r}: use letters, digits and _, and no digit first; a namespace, as "
+            "in team/alice, is given to the node: --ros-args -r __ns:=/team"
+        )

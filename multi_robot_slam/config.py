@@ -3,8 +3,9 @@
 from dataclasses import field
 from typing import Annotated
 
-from annotated_types import Ge
+from annotated_types import Ge, Gt
 
+from msg_defs import topics
 from msg_defs.errors import InputError
 from msg_defs.types import CameraMount, settings
 from multi_robot_slam.filter.settings import FilterSettings
@@ -12,6 +13,62 @@ from multi_robot_slam.filter.settings import FilterSettings
 SECTION = "multi_robot_slam"
 MOST_ROBOTS = 32
 """A landmark keeps which robots observed it in as many bits."""
+
+
+@settings
+class Plausible:
+    """What can be true of what comes in; the rest is dropped, counted and told.
+
+    Wide enough for whatever drives on the ground. What lies outside is an error of the sender, and
+    would carry an error into every particle.
+    """
+
+    farthest_m: Annotated[
+        float,
+        Gt(0),
+        "farthest observation from the camera [m]; at 1 km a stereo pair of 1 m and 1000 px sees a "
+        "disparity of 1 px",
+    ] = 1000.0
+    smallest_sigma_m: Annotated[
+        float,
+        Gt(0),
+        "smallest standard deviation of an observed point, in any direction [m]; a tenth of what "
+        "the best cameras reach, and what single precision resolves 100 m from the origin",
+    ] = 1e-5
+    largest_sigma_m: Annotated[
+        float,
+        Gt(0),
+        "largest standard deviation of an observed point, in any direction [m]; ten times the "
+        "farthest observation, and its sixth power is still far inside single precision",
+    ] = 1e4
+    descriptor_norm_error: Annotated[
+        float,
+        Gt(0),
+        "farthest norm of a descriptor from 1; the root of E_0, further off no unit vector matches",
+    ] = 0.2
+    most_observations: Annotated[
+        int,
+        Ge(1),
+        "most observations of a frame that are used, evenly spread over it; memory and time grow "
+        "with their square",
+    ] = 1000
+    farthest_odometry_m: Annotated[
+        float,
+        Gt(0),
+        "farthest odometry from its origin [m]; half way round the Earth, so that UTM is allowed",
+    ] = 2e7
+    fastest_m_s: Annotated[
+        float, Gt(0), "fastest robot between two odometry samples [m/s]; 108 km/h"
+    ] = 30.0
+    fastest_rad_s: Annotated[
+        float, Gt(0), "fastest turn between two odometry samples [rad/s]; 1.6 turns a second"
+    ] = 10.0
+    ahead_s: Annotated[
+        float,
+        Gt(0),
+        "a stamp further ahead of the other robots is not believed, in message time [s]; "
+        "reorder_window_s if that is longer",
+    ] = 5.0
 
 
 @settings
@@ -29,15 +86,21 @@ class Config:
     sightings: Annotated[
         bool, "each robot sends the robots it sees, even if none, with every frame"
     ] = False
+    camera_frame: Annotated[
+        str, "frame of the clouds; {robot} stands for the robot's name, empty accepts any"
+    ] = topics.CAMERA_FRAME
     mount: CameraMount = field(default_factory=CameraMount)
     mounts: Annotated[
         tuple[tuple[float, float, float, float, float, float], ...],
         "instead of `mount`, for each robot: forward, left, up, roll, pitch, yaw [m, rad]",
     ] = ()
+    plausible: Plausible = field(default_factory=Plausible)
     filter: FilterSettings = field(default_factory=FilterSettings)
 
     def __post_init__(self) -> None:
         names, count = self.robots, len(self.robots)
+        for name in names:
+            topics.require_robot_name(name)
         if not 0 < count <= MOST_ROBOTS or len(set(names)) < count:
             raise InputError(
                 f"robots = {list(names)}: name each robot of the team once, {MOST_ROBOTS} at most"
@@ -56,3 +119,8 @@ class Config:
     def mount_of(self, robot: int) -> CameraMount:
         """Where the camera sits on the robot with this index in the team."""
         return CameraMount(*self.mounts[robot]) if self.mounts else self.mount
+
+    @property
+    def ahead_ns(self) -> int:
+        """How far ahead of the other robots a stamp is believed [ns]."""
+        return int(max(self.plausible.ahead_s, self.reorder_window_s) * 1e9)

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from msg_defs.errors import InputError
-from msg_defs.topics import MAP_FRAME, camera_frame
+from msg_defs.topics import CAMERA_FRAME, MAP_FRAME, camera_frame
 from msg_defs.types import (
     DESCRIPTOR_SIZE,
     LandmarkMap,
@@ -83,10 +83,13 @@ def encode_observations(observations: ObservationSet) -> bytes:
     return _encode_cloud(_OBSERVATION, columns, observations.stamp_ns, frame_id)
 
 
-def decode_observations(data: bytes, robot: str) -> ObservationSet:
-    """Descriptors may be FLOAT32, or UINT8 for 512 times the value."""
+def decode_observations(data: bytes, robot: str, frame: str = CAMERA_FRAME) -> ObservationSet:
+    """The message in the `frame`, in which {robot} stands for the name; if empty, in any.
+
+    Descriptors may be FLOAT32, or UINT8 for 512 times the value.
+    """
     what = f"observations of {robot}"
-    stamp_ns, columns = _decode_cloud(data, _OBSERVATION, camera_frame(robot), what)
+    stamp_ns, columns = _decode_cloud(data, _OBSERVATION, camera_frame(robot, frame), what)
     return ObservationSet(
         robot,
         stamp_ns,
@@ -106,9 +109,10 @@ def encode_sightings(sightings: Sightings) -> bytes:
     return _encode_cloud(_SIGHTINGS, columns, sightings.stamp_ns, frame_id)
 
 
-def decode_sightings(data: bytes, robot: str) -> Sightings:
+def decode_sightings(data: bytes, robot: str, frame: str = CAMERA_FRAME) -> Sightings:
+    """As `decode_observations`."""
     what = f"sightings of {robot}"
-    stamp_ns, columns = _decode_cloud(data, _SIGHTINGS, camera_frame(robot), what)
+    stamp_ns, columns = _decode_cloud(data, _SIGHTINGS, camera_frame(robot, frame), what)
     positions, covariances = _seen_by_camera(columns, what)
     return Sightings(robot, stamp_ns, columns["robot"], positions, covariances)
 
@@ -228,7 +232,9 @@ def _decode_cloud(
     and either byte order.
     """
     cloud = decode(PointCloud2, data, what)
-    require_frame(cloud.header.frame_id, (frame_id,), what)
+    if frame_id:
+        setting = "" if frame_id == MAP_FRAME else "camera_frame"
+        require_frame(cloud.header.frame_id, (frame_id,), what, setting=setting)
     stamp_ns = stamp_of(cloud.header, what)
     fields = {field.name: field for field in cloud.fields}
     if len(fields) < len(cloud.fields):

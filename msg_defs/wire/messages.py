@@ -90,10 +90,15 @@ def stamp_of(header: Any, what: str) -> int:
     return seconds * 10**9 + nanoseconds
 
 
-def require_frame(frame_id: str, expected: tuple[str, ...], what: str, name="frame_id") -> None:
-    """Complain when a frame is none of those expected."""
+def require_frame(
+    frame_id: str, expected: tuple[str, ...], what: str, name: str = "frame_id", setting: str = ""
+) -> None:
+    """Complain when a frame is none of those expected, which a `setting` may change."""
     if frame_id not in expected:
-        raise InputError(f"{what}: {name} is {frame_id!r}; publish it as {' or '.join(expected)}")
+        remedy = f", or set {setting}" if setting else ""
+        raise InputError(
+            f"{what}: {name} is {frame_id!r}; publish it as {' or '.join(expected)}{remedy}"
+        )
 
 
 def require_finite(values: np.ndarray, what: str, name: str) -> None:

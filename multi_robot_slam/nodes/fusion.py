@@ -128,7 +128,8 @@ class Fusion(EdgeNode):
 
     def _begin(self) -> None:
         self._pipeline = Pipeline(self._config, self._warn)
-        self._rewind = Rewind(int(self._config.reorder_window_s * 1e9))
+        window_ns = int(self._config.reorder_window_s * 1e9)
+        self._rewind = Rewind(window_ns, self._config.ahead_ns)
         self._has_news = False
 
     def _publish(self, topic: topics.Topic, data: bytes) -> None:

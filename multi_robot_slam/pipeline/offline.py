@@ -11,7 +11,7 @@ from msg_defs.types import Event, StepRecord
 from multi_robot_slam import runs
 from multi_robot_slam.bags import BagReader, absolute
 from multi_robot_slam.config import SECTION, Config
-from multi_robot_slam.pipeline import refinement
+from multi_robot_slam.pipeline import decoding, refinement
 from multi_robot_slam.pipeline.pipeline import Pipeline
 
 OnStep = Callable[[StepRecord], None]
@@ -40,14 +40,14 @@ def events(
     InputError : there is nothing of them in the bag, or in several namespaces.
 
     """
-    decoders = _decoders(config)
+    decoders = decoding.inputs(config)
     reader, found = BagReader(bag), set()
     where = reader.find_namespace(_inputs(config), namespace)
     for topic, data in reader.only(decoders.keys(), where):
-        robot, decode = decoders[topic]
+        _, decode = decoders[topic]
         found.add(topic)
         try:
-            event = decode(data, robot)
+            event = decode(data)
         except InputError as error:
             refuse(error)
         else:
@@ -58,17 +58,6 @@ def events(
             f"{', '.join(absolute(topic.name, where) for topic in decoders)}; its topics are "
             f"{reader.found()}; record these topics, or name the robots in the configuration"
         )
-
-
-def _decoders(config: Config) -> dict[Topic, tuple[str, Callable[[bytes, str], Event]]]:
-    """Topic -> whose it is, and what reads its messages."""
-    kinds: list[tuple[Callable[[str], Topic], Callable[[bytes, str], Event]]] = [
-        (topics.odometry, wire.decode_pose),
-        (topics.observations, wire.decode_observations),
-    ]
-    if config.sightings:
-        kinds.append((topics.sightings, wire.decode_sightings))
-    return {kind(robot): (robot, decode) for robot in config.robots for kind, decode in kinds}
 
 
 def _inputs(config: Config) -> list[Topic]:

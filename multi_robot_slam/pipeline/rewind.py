@@ -3,12 +3,10 @@
 from collections import deque
 
 from msg_defs.types import Event
+from multi_robot_slam.pipeline.time_guard import Stream, TimeGuard, stream_of
 
 MOST_KEPT = 2000
 """Events kept of those that may be the beginning of another run."""
-
-Stream = tuple[str, type]
-"""What one robot sends of one kind; its stamps ascend."""
 
 
 class Rewind:
@@ -18,10 +16,17 @@ class Rewind:
     stream that has been heard of lately must lie `window_ns` before the newest of its stream. Once
     the clock went back, one message that is not newer than the last of its stream is enough: what
     is newer may have been sent before and taken later than the clock.
+
+    Parameters
+    ----------
+    window_ns : how far back everyone must go [ns].
+    ahead_ns : how far ahead a stamp is believed [ns], see `TimeGuard`.
+
     """
 
-    def __init__(self, window_ns: int) -> None:
+    def __init__(self, window_ns: int, ahead_ns: int) -> None:
         self._window_ns = window_ns
+        self._guard = TimeGuard(ahead_ns)
         self._clock_went_back = False
         self._newest_ns: dict[Stream, int] = {}
         self._back: set[Stream] = set()
@@ -33,7 +38,11 @@ class Rewind:
 
     def note(self, event: Event) -> bool:
         """Take one event; True when with it the whole team's time has gone back."""
-        stream = _stream(event)
+        are_back = [self._is_back(admitted) for admitted in self._guard.admit(event)]
+        return any(are_back)
+
+    def _is_back(self, event: Event) -> bool:
+        stream = stream_of(event)
         newest_ns = self._newest_ns.get(stream, -1)
         is_far_back = event.stamp_ns < newest_ns - self._window_ns
         if is_far_back or (self._clock_went_back and event.stamp_ns <= newest_ns):
@@ -43,7 +52,7 @@ class Rewind:
         self._newest_ns[stream] = max(newest_ns, event.stamp_ns)
         if stream in self._back:
             self._back.remove(stream)
-            kept = (e for e in self._kept if _stream(e) != stream)
+            kept = (e for e in self._kept if stream_of(e) != stream)
             self._kept = deque(kept, maxlen=MOST_KEPT)
         return False
 
@@ -54,7 +63,3 @@ class Rewind:
     def beginning(self) -> list[Event]:
         """The events that belong to the run that begins, in the order they came."""
         return list(self._kept)
-
-
-def _stream(event: Event) -> Stream:
-    return event.robot, type(event)

@@ -11,7 +11,8 @@ from multi_robot_slam.filter import rbpf, resampling, sightings
 from multi_robot_slam.filter.settings import NO_REJUVENATION, FilterSettings
 from multi_robot_slam.models.frames import BodySightings, RobotFrame
 from multi_robot_slam.models.motion import MotionSettings
-from multi_robot_slam.pipeline.pipeline import UNPLACED, Pipeline
+from multi_robot_slam.pipeline.pipeline import Pipeline
+from multi_robot_slam.pipeline.reorder import UNPLACED
 
 PARTICLES, STEPS = 20_000, 6
 SIGMA_MOVE, SIGMA_SEE, SIGMA_SIGHT = 0.1, 0.2, 0.2
@@ -223,7 +224,7 @@ def test_a_frame_waits_for_its_sightings_whatever_comes_first():
 
 def test_a_robot_that_is_seen_between_its_frames_gets_one():
     team = pipeline()
-    for event in [odometry("a", 10), odometry("b", 5), odometry("b", 15, x=1.0)]:
+    for event in [odometry("a", 10), odometry("b", 5), odometry("b", 15, x=0.2)]:
         team.handle(event)
     team.handle(sees("a", 10, 1))
     team.handle(empty("a", 10))
@@ -246,7 +247,7 @@ def test_a_sighting_of_a_robot_without_odometry_is_counted_and_dropped():
 @pytest.mark.parametrize("other", [0, 7])
 def test_who_sees_itself_or_a_stranger_is_told(other):
     team = pipeline()
-    assert team.handle(sees("a", 10, other)) == []
+    assert team.handle(sees("a", 10, other)) + team.finish() == []
     assert team.dropped == {"sighting of nobody": 1}
 
 

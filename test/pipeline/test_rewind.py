@@ -35,11 +35,11 @@ def shuffled(some, seed):
 
 def runs(events):
     """The events by run, as a fusion tells the runs apart."""
-    rewind, found = Rewind(WINDOW), [[]]
+    rewind, found = Rewind(WINDOW, WINDOW), [[]]
     for event in events:
         if rewind.note(event):
             beginning = rewind.beginning()
-            rewind = Rewind(WINDOW)
+            rewind = Rewind(WINDOW, WINDOW)
             assert not any(map(rewind.note, beginning))
             # The last of these began the run, the others were kept back from the run before.
             del found[-1][len(found[-1]) - len(beginning) + 1 :]
@@ -80,7 +80,7 @@ def test_robots_that_fell_silent_are_not_waited_for():
 def test_once_the_clock_went_back_the_first_that_is_not_newer_begins_the_run(seed, early, seconds):
     """However short the run is, and however many of its messages are taken after the clock."""
     events = shuffled(streams(seconds), seed)
-    rewind, early = Rewind(WINDOW), min(early, len(events))
+    rewind, early = Rewind(WINDOW, WINDOW), min(early, len(events))
     assert not any(map(rewind.note, events[: len(events) - early]))
     rewind.clock_went_back()
     assert not any(map(rewind.note, events[len(events) - early :]))

@@ -1,0 +1,161 @@
+"""One robot's odometry: what of it is possible, and its motion from one frame to the next."""
+
+from collections import deque
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from msg_defs.types import PoseSample
+from multi_robot_slam.config import Plausible
+from multi_robot_slam.models.motion import increment, move, wrap
+from multi_robot_slam.pipeline.plausibility import Doubt
+
+MOST_SAMPLES = 20_000
+"""Kept for frames to come: minutes at any usual rate."""
+
+SAMPLES_OF_A_RESET = 3
+"""Samples that agree with each other, and not with those before, are odometry that was reset."""
+
+STAMP_ERROR_S = 0.01
+"""How much longer than its stamps say a motion may have taken."""
+
+NOT_KEPT = Doubt("odometry not kept", f"{MOST_SAMPLES} samples wait for a frame; send frames")
+JUMP = Doubt(
+    "odometry jump", "no robot is that fast; correct it, or raise plausible.fastest_m_s, _rad_s"
+)
+RESET = Doubt("odometry reset", "the robot goes on from where it was; do not reset odometry")
+
+
+class _Sample(NamedTuple):
+    stamp_ns: int
+    pose: np.ndarray
+    """(3,) in the frame of the first sample: resets leave no jump."""
+    origin: np.ndarray | None
+    """(3,) pose of the robot's own frame `odom` in that frame; None until the first reset."""
+
+    def in_odom(self, pose: np.ndarray) -> np.ndarray:
+        """A `pose` (3,) of the frame of the first sample in the robot's own."""
+        return pose if self.origin is None else increment(self.origin, pose)
+
+
+class Odometry:
+    """Takes a robot's odometry in the order of its stamps.
+
+    A sample that is further from the last than any robot moves is doubted. If the next samples stay
+    there, the odometry was reset: the robot goes on from where it was. Otherwise it is dropped.
+
+    Parameters
+    ----------
+    limits : how fast a robot can be.
+    tell : called with each sample that is dropped, or where the odometry was reset, and why.
+
+    """
+
+    def __init__(self, limits: Plausible, tell: Callable[[PoseSample, Doubt], None]) -> None:
+        self._limits = limits
+        self._tell = tell
+        self._samples: deque[_Sample] = deque()
+        self._last: PoseSample | None = None
+        self._doubted: list[PoseSample] = []
+        self._origin: np.ndarray | None = None
+        self._used: tuple[int, np.ndarray] | None = None
+        self._reached = 0, np.zeros(3)
+        self._pose_in_odom = np.zeros(3)
+        self._reached_in_odom = np.zeros(3)
+
+    @property
+    def newest_ns(self) -> int:
+        """Stamp up to which the odometry is known, -1 when there is none [ns]."""
+        return -1 if self._last is None else self._last.stamp_ns
+
+    @property
+    def taken_ns(self) -> int:
+        """Stamp of the last sample, doubted or not, -1 when there is none [ns]."""
+        return self._doubted[-1].stamp_ns if self._doubted else self.newest_ns
+
+    @property
+    def used_pose(self) -> np.ndarray:
+        """(3,): the robot's pose in its own frame `odom` at the last frame that was used."""
+        return self._pose_in_odom
+
+    def take(self, sample: PoseSample) -> None:
+        """Take a sample that is newer than all before."""
+        if self._doubted and self._is_possible(self._doubted[-1], sample):
+            self._doubted.append(sample)
+            if len(self._doubted) == SAMPLES_OF_A_RESET:
+                self._reset()
+        elif self._last is None or self._is_possible(self._last, sample):
+            self.drop_doubted()
+            self._keep(sample)
+        else:
+            self.drop_doubted()
+            self._doubted.append(sample)
+
+    def drop_doubted(self) -> None:
+        """Give up the samples that nothing has confirmed."""
+        for sample in self._doubted:
+            self._tell(sample, JUMP)
+        self._doubted.clear()
+
+    def motion_to(self, stamp_ns: int) -> tuple[np.ndarray, float]:
+        """Motion (3,) since the frame that was used last, and how long it took [s].
+
+        Odometry must have reached `stamp_ns`, and no frame before it is asked for any more.
+        """
+        pose = self._at(stamp_ns)
+        self._reached = stamp_ns, pose
+        self._reached_in_odom = self._samples[0].in_odom(pose)
+        if self._used is None:
+            return np.zeros(3), 0.0
+        used_ns, used_pose = self._used
+        return increment(used_pose, pose), (stamp_ns - used_ns) / 1e9
+
+    def use(self) -> None:
+        """The motion asked for last was used: the next one begins where it ended."""
+        self._used = self._reached
+        self._pose_in_odom = self._reached_in_odom
+
+    def _is_possible(self, before: PoseSample, after: PoseSample) -> bool:
+        seconds = (after.stamp_ns - before.stamp_ns) / 1e9 + STAMP_ERROR_S
+        dx, dy, turn = after.pose - before.pose
+        is_slow = np.hypot(dx, dy) <= self._limits.fastest_m_s * seconds
+        return bool(is_slow and np.abs(wrap(turn)) <= self._limits.fastest_rad_s * seconds)
+
+    def _keep(self, sample: PoseSample) -> None:
+        pose = sample.pose
+        if self._origin is not None:
+            pose = _composed(self._origin, pose)
+        self._samples.append(_Sample(sample.stamp_ns, pose, self._origin))
+        self._last = sample
+        if len(self._samples) > MOST_SAMPLES:
+            self._samples.popleft()
+            self._tell(sample, NOT_KEPT)
+
+    def _reset(self) -> None:
+        first = self._doubted[0]
+        self._tell(first, RESET)
+        self._origin = _composed(self._samples[-1].pose, increment(first.pose, np.zeros(3)))
+        for sample in self._doubted:
+            self._keep(sample)
+        self._doubted.clear()
+
+    def _at(self, stamp_ns: int) -> np.ndarray:
+        """Odometry interpolated at `stamp_ns`; before the first sample, the first."""
+        samples = self._samples
+        while len(samples) > 1 and samples[1].stamp_ns <= stamp_ns:
+            samples.popleft()
+        first = samples[0]
+        if len(samples) == 1 or first.stamp_ns >= stamp_ns:
+            return first.pose
+        share = (stamp_ns - first.stamp_ns) / (samples[1].stamp_ns - first.stamp_ns)
+        difference = samples[1].pose - first.pose
+        difference[2] = wrap(difference[2])
+        return first.pose + share * difference
+
+
+def _composed(pose: np.ndarray, motion: np.ndarray) -> np.ndarray:
+    """The pose (3,) after a motion (3,) seen from `pose` (3,)."""
+    result = pose[:, None].copy()
+    move(result, motion[:, None])
+    return result[:, 0]

@@ -1,0 +1,104 @@
+"""What one robot has sent and the filter has not used yet, paired into frames."""
+
+from collections import deque
+from collections.abc import Callable, Collection
+from dataclasses import replace
+
+import numpy as np
+
+from msg_defs.types import (
+    DESCRIPTOR_SIZE,
+    Event,
+    ObservationSet,
+    PoseSample,
+    Sightings,
+)
+from multi_robot_slam.config import Config
+from multi_robot_slam.models.frames import RobotFrame
+from multi_robot_slam.pipeline.odometry import Odometry
+from multi_robot_slam.pipeline.plausibility import Doubt
+
+
+class RobotInputs:
+    """One robot's streams: odometry, observations, and sightings where it sends them."""
+
+    def __init__(self, index: int, config: Config, drop: Callable[[Event, Doubt], None]) -> None:
+        self.index = index
+        self.name = config.robots[index]
+        self.waiting: deque[ObservationSet] = deque()
+        self.newest_ns = -1
+        """Stamp of the newest frame heard of, used or not [ns]."""
+        self.sightings_ns = -1
+        self.odometry = Odometry(config.plausible, drop)
+        self._mount = config.mount_of(index)
+        self._sends_sightings = config.sightings
+        self._sightings: deque[Sightings] = deque()
+
+    def ready_ns(self, horizon_ns: int) -> int:
+        """Stamp of the newest frame all of which has arrived, -1 when there is none [ns].
+
+        Sightings are not waited for at `horizon_ns` and before.
+        """
+        complete = min(self.newest_ns, self.odometry.newest_ns)
+        if self._sends_sightings:
+            complete = min(complete, max(self.sightings_ns, horizon_ns))
+        return complete
+
+    def has_frame(self, until_ns: int) -> bool:
+        """The oldest waiting frame is complete; one up to `until_ns` need not have sightings."""
+        return bool(self.waiting) and self.waiting[0].stamp_ns <= self.ready_ns(until_ns)
+
+    def is_stuck(self, horizon_ns: int) -> bool:
+        """The oldest waiting frame is older than `horizon_ns` and its odometry has not come."""
+        newest_ns = self.odometry.newest_ns
+        return bool(self.waiting) and newest_ns < self.waiting[0].stamp_ns < horizon_ns
+
+    def take(self, event: Event) -> None:
+        """Keep an event that is newer than the last of its kind."""
+        if isinstance(event, PoseSample):
+            self.odometry.take(event)
+        elif isinstance(event, Sightings):
+            self._sightings.append(event)
+            self.sightings_ns = event.stamp_ns
+        else:
+            self.waiting.append(event)
+
+    def sightings_at(self, stamp_ns: int) -> Sightings | None:
+        """The sightings at `stamp_ns`; older ones are forgotten."""
+        while self._sightings and self._sightings[0].stamp_ns < stamp_ns:
+            self._sightings.popleft()
+        if self._sightings and self._sightings[0].stamp_ns == stamp_ns:
+            return self._sightings.popleft()
+        return None
+
+    def frame(self, stamp_ns: int, sightings: Sightings | None) -> RobotFrame:
+        """The frame at `stamp_ns`, empty if none is waiting, with the motion since the one before.
+
+        Odometry must have reached `stamp_ns`.
+        """
+        if self.waiting and self.waiting[0].stamp_ns == stamp_ns:
+            observations = self.waiting.popleft()
+        else:
+            observations = _nothing(self.name, stamp_ns)
+        motion, seconds = self.odometry.motion_to(stamp_ns)
+        return RobotFrame.from_camera(
+            self.index, motion, seconds, observations, self._mount, sightings
+        )
+
+
+def only(sightings: Sightings | None, robots: Collection[int]) -> Sightings | None:
+    """The sightings of `robots` (indices in the team)."""
+    if sightings is None:
+        return None
+    rows = np.isin(sightings.others, list(robots))
+    return replace(
+        sightings,
+        others=sightings.others[rows],
+        positions=sightings.positions[rows],
+        covariances=sightings.covariances[rows],
+    )
+
+
+def _nothing(robot: str, stamp_ns: int) -> ObservationSet:
+    empty = (np.empty((0, size), np.float32) for size in (3, 6, DESCRIPTOR_SIZE))
+    return ObservationSet(robot, stamp_ns, *empty)

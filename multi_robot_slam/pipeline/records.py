@@ -1,0 +1,66 @@
+"""What a step of the filter tells whoever watches it."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from msg_defs.types import Estimate, FrameRecord, StepRecord
+from multi_robot_slam.config import Config
+from multi_robot_slam.filter import rbpf
+from multi_robot_slam.filter.matching import FrameInfo
+from multi_robot_slam.filter.state import State
+from multi_robot_slam.models.frames import RobotFrame
+from multi_robot_slam.pipeline.estimates import draws, wrapped
+
+
+def step_record(
+    config: Config,
+    state: State,
+    frames: Sequence[RobotFrame],
+    info: rbpf.StepInfo,
+    duration_ms: float,
+) -> StepRecord:
+    """The record of a step over `frames` that led to `state`."""
+    best = rbpf.best_particle(state)
+    before = best if info.ancestors is None else info.ancestors[best]
+    return StepRecord(
+        stamp_ns=frames[0].stamp_ns,
+        step=state.steps,
+        frames=tuple(
+            _frame_record(config.robots[frame.robot], seen, before, config.filter.sighting_gate)
+            for frame, seen in zip(frames, info.frames, strict=True)
+        ),
+        estimates=tuple(
+            Estimate(
+                robot=config.robots[frame.robot],
+                stamp_ns=frame.stamp_ns,
+                pose=wrapped(mean if draws(config) else state.poses[frame.robot, :, best]),
+                covariance=covariance,
+                mean=wrapped(mean),
+            )
+            for frame, (mean, covariance) in zip(frames, info.moments, strict=True)
+        ),
+        effective_particles=info.effective_particles,
+        resampled=info.ancestors is not None,
+        rejuvenated=info.rejuvenated and info.rejuvenated.effective_particles,
+        duration_ms=duration_ms,
+    )
+
+
+def _frame_record(
+    robot: str, info: FrameInfo, particle: int, sighting_gate: float
+) -> FrameRecord:
+    matches = info.matches[:, particle]
+    sighted = info.sighted.mahalanobis_sq[:, particle]
+    is_new = matches == info.new_ids
+    return FrameRecord(
+        robot=robot,
+        landmarks=matches.astype(np.int64),
+        is_new=is_new,
+        is_rejected=is_new & (np.diff(info.candidates.starts) > 0),
+        mahalanobis=np.where(is_new, np.nan, info.mahalanobis_sq[:, particle]).astype(np.float32),
+        descriptor_distance=np.where(is_new, np.nan, info.descriptor_distances(matches)),
+        others=info.sighted.seen.others,
+        other_mahalanobis=sighted.astype(np.float32),
+        is_other_rejected=sighted > sighting_gate,
+    )

@@ -1,0 +1,124 @@
+"""One robot's wrong stamp is that robot's fault: it moves nobody else's time."""
+
+from collections.abc import Callable
+
+from msg_defs.types import Event
+
+MOST_HELD = 1000
+"""Events held back; the clock of a robot that fills this is wrong for good."""
+
+_NEVER_NS = -(2**62)
+
+Stream = tuple[str, type]
+"""What one robot sends of one kind; its stamps ascend."""
+
+
+def stream_of(event: Event) -> Stream:
+    """The stream the event belongs to."""
+    return event.robot, type(event)
+
+
+class TimeGuard:
+    """Holds back what is stamped far ahead of everything else until it is believed.
+
+    An event is far ahead when it is more than `limit_ns` ahead of the other robots' newest; where
+    these have been silent for so long, of its own robot's newest. It is believed when another
+    robot's stamps leap as far, when its stream goes on while the others stay silent, or when the
+    others catch up. It is dropped when its stream goes on from where it was before.
+
+    Parameters
+    ----------
+    limit_ns : how far ahead a stamp may be [ns].
+    drop : called with each event that is not believed.
+
+    """
+
+    def __init__(self, limit_ns: int, drop: Callable[[Event], None] = lambda event: None) -> None:
+        self._limit_ns = limit_ns
+        self._drop = drop
+        self._newest_ns: dict[str, int] = {}
+        self._held: list[Event] = []
+        self._unanswered_since_ns: dict[Stream, int] = {}
+        """Stamp of the first event of each stream held since another robot spoke."""
+
+    def admit(self, event: Event) -> list[Event]:
+        """Take one event; those that are believed now, in the order they came."""
+        if event.stamp_ns > self._latest_ns(event.robot):
+            self._held.append(event)
+            self._unanswered_since_ns.setdefault(stream_of(event), event.stamp_ns)
+            believed_ns = event.stamp_ns + self._limit_ns if self._is_confirmed(event) else -1
+            if len(self._held) > MOST_HELD:
+                self._drop(self._held.pop(0))
+            return self._release(dict.fromkeys(self._holding(), believed_ns))
+        self._refute(event)
+        self._note(event)
+        return [event, *self._release({robot: self._latest_ns(robot) for robot in self._holding()})]
+
+    def rest(self) -> list[Event]:
+        """What is held at the end: it is believed if nobody else has spoken since."""
+        unanswered = {robot for robot, _ in self._unanswered_since_ns}
+        admitted = self._release(dict.fromkeys(unanswered, 2**63))
+        for event in self._held:
+            self._drop(event)
+        self._held.clear()
+        return admitted
+
+    def _latest_ns(self, robot: str) -> int:
+        """The latest stamp of a robot that is not far ahead; before the first event none is."""
+        own_ns, others_ns = self._own_and_others_ns(robot)
+        reference_ns = others_ns if others_ns >= own_ns - self._limit_ns else own_ns
+        return reference_ns + self._limit_ns
+
+    def _own_and_others_ns(self, robot: str) -> tuple[int, int]:
+        """Newest stamp of the robot and of all others."""
+        others = (ns for other, ns in self._newest_ns.items() if other != robot)
+        return self._newest_ns.get(robot, _NEVER_NS), max(others, default=_NEVER_NS)
+
+    def _is_confirmed(self, event: Event) -> bool:
+        """Another robot agrees, or all others have been silent while the stream went on.
+
+        The first event of all is confirmed by any other near it.
+        """
+        is_first = not self._newest_ns
+        for held in self._held:
+            speaks_for_it = held.robot != event.robot or (is_first and held is not event)
+            if speaks_for_it and abs(held.stamp_ns - event.stamp_ns) <= self._limit_ns:
+                return True
+        own_ns, others_ns = self._own_and_others_ns(event.robot)
+        went_on_ns = event.stamp_ns - self._unanswered_since_ns[stream_of(event)]
+        is_alone_ns = max(own_ns - others_ns, 0)
+        return not is_first and went_on_ns > 0 and went_on_ns + is_alone_ns >= self._limit_ns
+
+    def _refute(self, event: Event) -> None:
+        """Drop what the event proves wrong, and note that its robot has spoken."""
+        stream = stream_of(event)
+        kept: list[Event] = []
+        for held in self._held:
+            if held.stamp_ns > event.stamp_ns and stream_of(held) == stream:
+                self._drop(held)
+                self._unanswered_since_ns.pop(stream, None)
+            else:
+                kept.append(held)
+        self._held = kept
+        since = self._unanswered_since_ns
+        self._unanswered_since_ns = {s: ns for s, ns in since.items() if s[0] == event.robot}
+
+    def _note(self, event: Event) -> None:
+        newest_ns = self._newest_ns.get(event.robot, _NEVER_NS)
+        self._newest_ns[event.robot] = max(newest_ns, event.stamp_ns)
+
+    def _holding(self) -> set[str]:
+        return {held.robot for held in self._held}
+
+    def _release(self, until_ns: dict[str, int]) -> list[Event]:
+        """Let go of each robot's events up to `until_ns`."""
+        released: list[Event] = []
+        kept: list[Event] = []
+        for held in self._held:
+            is_believed = held.stamp_ns <= until_ns.get(held.robot, _NEVER_NS)
+            (released if is_believed else kept).append(held)
+        self._held = kept
+        for event in released:
+            self._note(event)
+            self._unanswered_since_ns.pop(stream_of(event), None)
+        return released

@@ -1,0 +1,349 @@
+"""Whatever decodable nonsense comes in, the run goes on and says what it lost."""
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import recordings
+from hypothesis import given
+from hypothesis import strategies as st
+
+from msg_defs import scenario_file
+from msg_defs.errors import InputError
+from msg_defs.types import ObservationSet, PoseSample
+from multi_robot_slam.config import SECTION, Config, Plausible
+from multi_robot_slam.filter import rbpf
+from multi_robot_slam.filter.settings import FilterSettings, RejuvenationSettings
+from multi_robot_slam.pipeline import plausibility
+from multi_robot_slam.pipeline.odometry import MOST_SAMPLES, Odometry
+from multi_robot_slam.pipeline.pipeline import FAILED_STEP, Pipeline
+from multi_robot_slam.pipeline.time_guard import MOST_HELD, TimeGuard
+from sim_world.scenario import Scenario
+from sim_world.simulator import Simulation
+
+SECOND = 10**9
+SIMULATION = Simulation(Scenario(robots=3, movements=60, observations=8), seed=5)
+STEPS = list(SIMULATION.steps())
+CONFIG = recordings.configuration(
+    SIMULATION, particles=30, rejuvenation=RejuvenationSettings(ancestors_below=0.0)
+)
+ODD = 8
+"""The step at which something odd comes."""
+
+
+def clean():
+    return [e for step in STEPS for robot in step for e in (robot.odometry, robot.observations)]
+
+
+def run(events, config=CONFIG):
+    """The steps, what was dropped and what was told."""
+    told = []
+    pipeline = Pipeline(config, told.append)
+    steps = [step for event in events for step in pipeline.handle(event)] + pipeline.finish()
+    return steps, pipeline, told
+
+
+def error_m(steps):
+    """The largest distance of any estimate from the truth."""
+    truth = {(r.truth.robot, r.truth.stamp_ns): r.truth.pose for step in STEPS for r in step}
+    return max(
+        np.hypot(*(e.pose - truth[e.robot, e.stamp_ns])[:2])
+        for step in steps
+        for e in step.estimates
+        if (e.robot, e.stamp_ns) in truth
+    )
+
+
+def with_odd(change):
+    """All events, one of them changed: `change(event)` returns an event or None."""
+    changed = False
+    result = []
+    for event in clean():
+        is_due = event.stamp_ns >= STEPS[ODD][0].odometry.stamp_ns and event.robot == "robot_2"
+        odd = change(event) if is_due and not changed else None
+        changed |= odd is not None
+        result.append(odd or event)
+    assert changed
+    return result
+
+
+def observed(**changes):
+    def change(event):
+        if not isinstance(event, ObservationSet):
+            return None
+        return replace(event, **{k: make(getattr(event, k)) for k, make in changes.items()})
+
+    return change
+
+
+def odometry(make):
+    return lambda e: replace(e, pose=make(e.pose)) if isinstance(e, PoseSample) else None
+
+
+def first_row(value):
+    def make(array):
+        array = array.copy()
+        array[0] = value
+        return array
+
+    return make
+
+
+def isotropic(variance):
+    return observed(covariances=first_row([variance, 0, 0, variance, 0, variance]))
+
+
+CASES = {
+    "covariance 3e38": (isotropic(3e38), "implausible observations", "largest_sigma_m"),
+    "covariance 1e-14": (isotropic(1e-14), "implausible observations", "smallest_sigma_m"),
+    "nearly flat covariance": (
+        observed(covariances=first_row([1, 1 - 1e-12, 0, 1, 0, 1])),
+        "implausible observations",
+        "smallest_sigma_m",
+    ),
+    "position 1e19": (
+        observed(positions=first_row([0, 0, 1e19])),
+        "implausible observations",
+        "farthest_m",
+    ),
+    "descriptors of zeros": (
+        observed(descriptors=first_row(0.0)),
+        "implausible descriptors",
+        "norm 0",
+    ),
+    "descriptors times 512": (
+        observed(descriptors=lambda d: d * 512),
+        "implausible descriptors",
+        "publish unit vectors",
+    ),
+    "odometry 1e150": (
+        odometry(lambda pose: pose + np.array([1e150, 0, 0])),
+        "implausible odometry",
+        "farthest_odometry_m",
+    ),
+    "odometry at 10,000 km": (
+        odometry(lambda pose: pose + np.array([1e7, 0, 0])),
+        "odometry jump",
+        "fastest_m_s",
+    ),
+    "odometry 20 m off": (
+        odometry(lambda pose: pose + np.array([20.0, 0, 0])),
+        "odometry jump",
+        "fastest_m_s",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_one_odd_message_is_lost_alone(name):
+    change, reason, remedy = CASES[name]
+    steps, pipeline, told = run(with_odd(change))
+    assert pipeline.dropped == {reason: 1}
+    assert len(told) == 1
+    assert "robot_2 at " in told[0]
+    assert remedy in told[0]
+    assert len(steps) == len(STEPS)
+    assert all(np.isfinite(s.effective_particles) for s in steps)
+    assert error_m(steps) < 1.0
+
+
+def test_what_is_far_or_exact_but_possible_is_used():
+    """At 900 m, with 0.1 mm or 1 km, in UTM coordinates, and as OpenCV quantises descriptors."""
+    seen = STEPS[0][0].observations
+    far = replace(seen, positions=first_row([0, 0, 900])(seen.positions))
+    exact = isotropic(1e-8)(seen)
+    vague = isotropic(1e6)(seen)
+    bytes_of = np.round(seen.descriptors * 512).clip(0, 255) / np.float32(512)
+    quantised = replace(seen, descriptors=bytes_of.astype(np.float32))
+    utm = replace(STEPS[0][0].odometry, pose=np.array([5e5, 9.9e6, 0.0]))
+    for event in (far, exact, vague, quantised, utm):
+        assert plausibility.doubt(event, Plausible()) is None
+
+
+@given(st.integers(1, 3000), st.integers(1, 1000))
+def test_thinning_keeps_as_many_as_allowed_evenly(count, most):
+    rows = np.arange(count, dtype=np.float32)[:, None]
+    thin = plausibility.thinned(ObservationSet("a", 0, rows, rows, rows), most)
+    kept = thin.positions[:, 0]
+    assert len(kept) == min(count, most)
+    assert kept[0] == 0
+    gaps = np.diff(np.append(kept, count))
+    assert gaps.max() - gaps.min() <= 1
+
+
+def test_a_dense_cloud_is_thinned_counted_and_told():
+    config = replace(CONFIG, plausible=replace(CONFIG.plausible, most_observations=5))
+    steps, pipeline, told = run(clean(), config)
+    assert max(len(frame.landmarks) for step in steps for frame in step.frames) == 5
+    seen = [len(robot.observations.positions) for step in STEPS for robot in step]
+    reason = "observations beyond the most of a frame"
+    assert pipeline.dropped == {reason: sum(n - 5 for n in seen if n > 5)}
+    assert "8 observations, of which 5" in told[0]
+    assert "plausible.most_observations" in told[0]
+
+
+def later(events, robot, since, by_s):
+    """All stamps of `robot` from `since` on shifted."""
+    return [
+        replace(e, stamp_ns=e.stamp_ns + int(by_s * SECOND))
+        if e.robot == robot and e.stamp_ns >= since
+        else e
+        for e in events
+    ]
+
+
+@pytest.mark.parametrize("kind", [PoseSample, ObservationSet])
+@pytest.mark.parametrize("ahead_s", [6.0, 3600.0])
+@pytest.mark.parametrize("step", [0, ODD, len(STEPS) - 1])
+def test_one_stamp_far_ahead_is_that_robots_fault(kind, ahead_s, step):
+    """The others are filtered as if it had not been sent."""
+    odd_ns = STEPS[step][0].odometry.stamp_ns
+    events = clean()
+    index = next(
+        i
+        for i, e in enumerate(events)
+        if e.robot == "robot_2" and isinstance(e, kind) and e.stamp_ns >= odd_ns
+    )
+    without = events[:index] + events[index + 1 :]
+    odd = replace(events[index], stamp_ns=events[index].stamp_ns + int(ahead_s * SECOND))
+    steps, pipeline, told = run([*events[:index], odd, *events[index + 1 :]])
+    expected, other, _ = run(without)
+    assert pipeline.dropped == other.dropped + Counter({"stamp far ahead": 1})
+    assert [s.stamp_ns for s in steps] == [s.stamp_ns for s in expected]
+    for step, same in zip(steps, expected, strict=True):
+        for estimate, right in zip(step.estimates, same.estimates, strict=True):
+            assert estimate.pose.tobytes() == right.pose.tobytes()
+    assert any("synchronise the robots' clocks" in text for text in told)
+
+
+def test_a_clock_that_is_wrong_for_good_holds_up_nobody():
+    since = STEPS[ODD][0].odometry.stamp_ns
+    steps, pipeline, _ = run(later(clean(), "robot_2", since, 3600.0))
+    others = [{f.robot for f in s.frames} & {"robot_1", "robot_3"} for s in steps]
+    assert others == [{"robot_1", "robot_3"}] * len(STEPS)
+    assert set(pipeline.dropped) == {"stamp far ahead"}
+
+
+def test_a_team_that_paused_goes_on():
+    """All clocks leap: what comes first finds the others silent, as when a robot comes back."""
+    since = STEPS[ODD][0].odometry.stamp_ns
+    events = clean()
+    for robot in CONFIG.robots:
+        events = later(events, robot, since, 3600.0)
+    steps, pipeline, _ = run(events)
+    assert pipeline.dropped == {"late frame": 2}
+    assert [len(s.frames) for s in steps] == [3] * ODD + [1] + [3] * (len(STEPS) - ODD - 1)
+
+
+def test_a_robot_that_is_left_alone_goes_on():
+    since = STEPS[ODD][0].odometry.stamp_ns
+    events = [e for e in clean() if e.robot == "robot_1" or e.stamp_ns < since]
+    steps, pipeline, _ = run(events)
+    assert not pipeline.dropped
+    assert len(steps) == len(STEPS)
+
+
+@given(st.lists(st.tuples(st.integers(0, 2), st.integers(0, 10**4)), max_size=60))
+def test_the_guard_lets_each_event_through_once_or_drops_it(sent):
+    events = [PoseSample(f"robot_{r}", s * SECOND, np.zeros(3)) for r, s in sent]
+    dropped = []
+    guard = TimeGuard(5 * SECOND, dropped.append)
+    admitted = [a for e in events for a in guard.admit(e)] + guard.rest()
+    assert sorted(map(id, admitted + dropped)) == sorted(map(id, events))
+
+
+def test_the_guard_keeps_no_more_than_it_may():
+    dropped = []
+    guard = TimeGuard(SECOND, dropped.append)
+    for i in range(3 * MOST_HELD):
+        guard.admit(PoseSample("right", i * 10**6, np.zeros(3)))
+        guard.admit(PoseSample("wrong", 3600 * SECOND + i * 10**6, np.zeros(3)))
+    assert len(dropped) >= 2 * MOST_HELD - 1
+    assert {e.robot for e in dropped} == {"wrong"}
+
+
+def drive(poses, period_s=0.1):
+    """What an `Odometry` makes of these poses: the motions to each that is reached, and reasons."""
+    told, motions = [], []
+    odometry = Odometry(Plausible(), lambda sample, doubt: told.append(doubt.reason))
+    for i, pose in enumerate(poses):
+        stamp = int((i + 1) * period_s * SECOND)
+        odometry.take(PoseSample("a", stamp, np.array(pose, float)))
+        if odometry.newest_ns == stamp:
+            motions.append((i, odometry.motion_to(stamp)[0]))
+            odometry.use()
+    return motions, told, odometry
+
+
+def test_odometry_that_is_reset_goes_on_without_motion_across_the_jump():
+    poses = [[0.1 * i, 0.0, 0.0] for i in range(100)]
+    again = [[0.1 * i, 0.0, 0.0] for i in range(20)]
+    motions, told, odometry = drive(poses + again)
+    assert told == ["odometry reset"]
+    total = np.sum([motion for _, motion in motions], axis=0)
+    np.testing.assert_allclose(total, [0.1 * (99 + 19), 0, 0], atol=1e-9)
+    np.testing.assert_allclose(odometry.used_pose, again[-1], atol=1e-9)
+
+
+@given(
+    st.integers(1, 60),
+    st.sampled_from([(4.0, 0.0, 0.0), (1e7, -1e7, 0.0), (0.0, 0.0, 2.5), (5.0, 0.0, 3.0)]),
+    st.integers(1, 2),
+)
+def test_wild_samples_never_become_motion(where, off, count):
+    poses = np.array([[0.1 * i, 0.0, 0.02 * i] for i in range(64)])
+    wild = poses.copy()
+    wild[where : where + count] += off
+    motions, told, _ = drive(wild)
+    assert max(np.hypot(*motion[:2]) for _, motion in motions) < 0.5
+    lost = min(count, len(poses) - where)
+    end_is_unknown = where + count >= len(poses)
+    assert told == ["odometry jump"] * lost or end_is_unknown
+
+
+def test_odometry_that_no_frame_uses_is_bounded_counted_and_told():
+    told = []
+    odometry = Odometry(Plausible(), lambda sample, doubt: told.append(doubt.reason))
+    for i in range(MOST_SAMPLES + 7):
+        odometry.take(PoseSample("a", i, np.zeros(3)))
+    assert told == ["odometry not kept"] * 7
+
+
+@pytest.mark.parametrize("error", [np.linalg.LinAlgError("singular")])
+def test_a_step_that_cannot_be_done_is_lost_alone(monkeypatch, error):
+    """The next motion begins where the last step that was done ended."""
+    right, done = rbpf.step, []
+
+    def fails_once(state, frames, settings, rng):
+        done.append(frames)
+        if len(done) == ODD:
+            raise error
+        return right(state, frames, settings, rng)
+
+    monkeypatch.setattr(rbpf, "step", fails_once)
+    steps, pipeline, told = run(clean())
+    assert pipeline.dropped == {FAILED_STEP: 1}
+    assert len(steps) == len(STEPS) - 1
+    assert str(error) in told[0]
+    before, after = done[ODD - 1][0], done[ODD][0]
+    assert after.seconds == pytest.approx(2 * before.seconds)
+    assert error_m(steps) < 1.0
+
+
+@pytest.mark.parametrize("name", ["team/alice", "bo b/", "", "1st", "ro-bot", "é", "a\n"])
+def test_a_robot_has_a_name_that_ros_can_use(name):
+    with pytest.raises(InputError, match="use letters, digits"):
+        Config(robots=(name,))
+    with pytest.raises(InputError, match="use letters, digits"):
+        scenario_file.from_mapping(Config, {"robots": [name]})
+
+
+def test_plausible_ranges_are_settings():
+    text = "multi_robot_slam: {plausible: {farthest_m: 20.0}, filter: {particles: 3}}"
+    config = scenario_file.from_yaml(Config, text, SECTION)
+    assert config.plausible == Plausible(farthest_m=20.0)
+    assert config.filter == FilterSettings(particles=3)
+    seen = STEPS[0][0].observations
+    far = replace(seen, positions=first_row([0, 0, 21])(seen.positions))
+    assert "21 m away" in plausibility.doubt(far, config.plausible).remedy
