@@ -2,9 +2,7 @@
 
 import sys
 import time
-from collections import deque
-from collections.abc import Callable
-from typing import Annotated, NamedTuple
+from typing import Annotated
 
 import numpy as np
 from annotated_types import Ge, Gt
@@ -14,14 +12,18 @@ from rclpy.duration import Duration
 from msg_defs import scenario_file as yaml_settings
 from msg_defs import topics, wire
 from msg_defs.errors import InputError
+from msg_defs.ros import environment
 from msg_defs.ros.endpoints import Audience, is_available, publisher, subscribe
 from msg_defs.ros.parameters import declare
 from msg_defs.ros.spin import SPIN_TIMEOUT_S, EdgeNode, spin
 from msg_defs.ros.usage import Usage
-from msg_defs.types import Estimate, Event, StepRecord, settings
+from msg_defs.types import Estimate, StepRecord, settings
 from multi_robot_slam.config import SECTION, Config
 from multi_robot_slam.models.motion import increment, move
 from multi_robot_slam.nodes.health import Health
+from multi_robot_slam.nodes.inbox import Inbox, Message
+from multi_robot_slam.nodes.silence import Silence
+from multi_robot_slam.pipeline.decoding import Decode, inputs
 from multi_robot_slam.pipeline.pipeline import Pipeline
 from multi_robot_slam.pipeline.rewind import Rewind
 
@@ -40,6 +42,12 @@ class Publishing:
     stop_after_s: Annotated[float, Ge(0), "silence after which the node ends; 0 is never [s]"] = 0.0
     silent_s: Annotated[float, Gt(0), "silence after which a robot is reported [s]"] = 5.0
     publish_tf: Annotated[bool, "publish the transform map -> <robot>/odom"] = True
+    unheard_s: Annotated[
+        float, Gt(0), "time after which an expected topic that was never heard is reported [s]"
+    ] = 10.0
+    inbox_mb: Annotated[
+        float, Gt(0), "most memory for messages that wait; then the oldest frames are lost [MB]"
+    ] = 1000.0
     subscribers: Annotated[
         int, Ge(0), "subscribers to wait for on fusion/steps and each pose before filtering"
     ] = 0
@@ -53,21 +61,11 @@ USAGE = Usage(
 )
 
 
-class Message(NamedTuple):
-    """One message as it came in."""
-
-    arrived_s: float
-    """Monotonic clock [s]."""
-    robot: str
-    decode: Callable[[bytes, str], Event]
-    data: bytes
-
-
 class Fusion(EdgeNode):
     """Decodes what arrives, hands it to the pipeline, publishes what comes back.
 
-    Messages wait in a queue without limit: however long a step takes, none is lost. When time goes
-    back, of `/clock` under use_sim_time or of the whole team's stamps, the fusion starts over.
+    Messages wait in an inbox: however long a step takes, none is lost. When time goes back,
+    of `/clock` under use_sim_time or of the whole team's stamps, the fusion starts over.
     """
 
     def __init__(self) -> None:
@@ -78,7 +76,7 @@ class Fusion(EdgeNode):
         self._begin()
         self.get_logger().info("loading the filter, which is compiled the first time")
         self._pipeline.warm_up()
-        self._inbox: deque[Message] = deque()
+        self._inbox = Inbox(1e6 * self._settings.inbox_mb, self._lose)
         self._outputs = {t: publisher(self, t) for t in self._output_topics()}
         kinds = (topics.pose, topics.mean_pose)
         lossless = [topics.STEPS, *(kind(robot) for robot in config.robots for kind in kinds)]
@@ -86,18 +84,15 @@ class Fusion(EdgeNode):
         self._audience = Audience(self, wanted)
         config_yaml = yaml_settings.to_yaml(**{SECTION: config})
         self._publish(topics.FUSION_CONFIG, wire.encode_text(config_yaml))
-        for robot in config.robots:
-            self._listen(robot, topics.odometry(robot), wire.decode_pose)
-            self._listen(robot, topics.observations(robot), wire.decode_observations)
-            if config.sightings:
-                self._listen(robot, topics.sightings(robot), wire.decode_sightings)
+        heard = [self._listen(topic, *how) for topic, how in inputs(config).items()]
+        self._silence = Silence(heard, self._settings.unheard_s)
         back = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1))
         self._jumps = self.get_clock().create_jump_callback(
             back, post_callback=lambda _: self._rewind.clock_went_back()
         )
         self.create_timer(self._settings.picture_period_s, self._publish_pictures)
-        self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics)
-        self.get_logger().info(f"ready for {', '.join(config.robots)}")
+        self.every(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics)
+        self.get_logger().info(f"ready for {', '.join(config.robots)}; {environment.reach()}")
 
     def work(self) -> float:
         """Handle the oldest message; after a silence, the frames held back."""
@@ -105,7 +100,7 @@ class Fusion(EdgeNode):
         if self._inbox and self._audience.is_missing():
             return POLL_S
         if self._inbox:
-            self._handle(self._inbox.popleft())
+            self._handle(self._inbox.get())
         elif self._pipeline.pending and silence_s > self._settings.idle_s:
             self._publish_steps(self._pipeline.finish())
             self._publish_pictures()
@@ -124,6 +119,8 @@ class Fusion(EdgeNode):
     def _output_topics(self) -> list[topics.Topic]:
         outputs = topics.fusion_outputs(self._config.robots)
         wants_tf = self._settings.publish_tf and is_available(topics.TF)
+        if self._settings.publish_tf and not wants_tf:
+            self.get_logger().info("no /tf: tf2_msgs, which is no wheel, is not installed")
         return [topic for topic in outputs if wants_tf or topic != topics.TF]
 
     def _begin(self) -> None:
@@ -135,19 +132,27 @@ class Fusion(EdgeNode):
     def _publish(self, topic: topics.Topic, data: bytes) -> None:
         self._outputs[topic].publish(data)
 
-    def _listen(
-        self, robot: str, topic: topics.Topic, decode: Callable[[bytes, str], Event]
-    ) -> None:
-        def keep(data: bytes) -> None:
-            self._inbox.append(Message(time.monotonic(), robot, decode, data))
-            self._health.hear(robot)
+    def _listen(self, topic: topics.Topic, robot: str, decode: Decode) -> topics.Topic:
+        """Put what comes on a topic of `robot` into the inbox; the topic with its whole name."""
+        is_odometry = topic == topics.odometry(robot)
 
-        subscribe(self, topic, keep)
+        def keep(data: bytes) -> None:
+            self._health.hear(robot)
+            self._silence.hear(reader.topic_name)
+            self._inbox.put(Message(time.monotonic(), topic, decode, data, not is_odometry))
+
+        reader = subscribe(self, topic, keep)
+        return topic._replace(name=reader.topic_name)
+
+    def _lose(self, message: Message) -> None:
+        name = message.topic.name
+        text = f"dropped a message of {name}: more wait than inbox_mb = {self._settings.inbox_mb:g}"
+        self._pipeline.lose(f"inbox full: {name}", f"{text}; use fewer particles, or raise it")
 
     def _handle(self, message: Message) -> None:
         self._health.lag_s = time.monotonic() - message.arrived_s
         try:
-            event = message.decode(message.data, message.robot)
+            event = message.decode(message.data)
         except InputError as error:
             self._pipeline.refuse(error)
         else:
@@ -171,7 +176,7 @@ class Fusion(EdgeNode):
     def _publish_steps(self, steps: list[StepRecord]) -> None:
         newest: dict[str, Estimate] = {}
         for step in steps:
-            self._health.note(step)
+            self._health.note(step, self._pipeline.dropped.total())
             self._publish(topics.STEPS, wire.encode_step(step))
             for estimate in step.estimates:
                 self._publish(topics.pose(estimate.robot), wire.encode_estimate(estimate))
@@ -190,10 +195,11 @@ class Fusion(EdgeNode):
         return wire.encode_transform(estimate.stamp_ns, topics.MAP_FRAME, frame_id, pose)
 
     def _publish_pictures(self) -> None:
-        if not self._has_news:
+        step = self._health.step
+        if step is None or not self._has_news:
             return
         self._has_news = False
-        stamp_ns = self._health.step.stamp_ns
+        stamp_ns = step.stamp_ns
         landmarks, paths = self._pipeline.landmark_map(), self._pipeline.trajectories()
         self._health.landmarks = len(landmarks.ids)
         self._publish(topics.MAP_LANDMARKS, wire.encode_map(landmarks, stamp_ns))
@@ -205,10 +211,17 @@ class Fusion(EdgeNode):
         self.get_logger().info(self._health.progress(), throttle_duration_sec=PROGRESS_PERIOD_S)
 
     def _publish_diagnostics(self) -> None:
+        for line in self._silence.news(self._published):
+            self.get_logger().warning(line)
         dropped, pending = self._pipeline.dropped, self._pipeline.pending
-        statuses = self._health.statuses(len(self._inbox), pending, dropped)
+        statuses = self._health.statuses(len(self._inbox), pending, dropped, self._silence.told)
         stamp_ns = self.get_clock().now().nanoseconds
         self._publish(topics.DIAGNOSTICS, wire.encode_diagnostics(stamp_ns, statuses))
+
+    def _published(self) -> dict[str, str]:
+        """The type of every topic that somebody publishes, by whole name."""
+        known = self.get_topic_names_and_types()
+        return {name: types[0] for name, types in known if self.count_publishers(name)}
 
     def _warn(self, text: str) -> None:
         self.get_logger().warning(text, throttle_duration_sec=WARNING_PERIOD_S)

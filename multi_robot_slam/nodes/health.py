@@ -2,42 +2,59 @@
 
 import time
 from collections import Counter
+from collections.abc import Callable
 
 import numpy as np
 
 from msg_defs import wire
 from msg_defs.types import StepRecord
+from multi_robot_slam.pipeline.pipeline import FAILED_STEP
 
 
 class Health:
-    """What `/diagnostics` tells."""
+    """How the fusion and each robot are.
 
-    def __init__(self, robots: tuple[str, ...], silent_s: float) -> None:
+    Parameters
+    ----------
+    silent_s : silence after which a robot is reported; so long may nothing but losses happen [s].
+    clock : a monotonic clock [s].
+
+    """
+
+    def __init__(
+        self, robots: tuple[str, ...], silent_s: float, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         self.lag_s = 0.0
-        self.landmarks = 0
-        self.step: StepRecord | None = None
         self._silent_s = silent_s
+        self._clock = clock
         self._heard_s = dict.fromkeys(robots, -np.inf)
-        self._frames = dict.fromkeys(robots, 0)
+        self.start_over()
 
     def start_over(self) -> None:
         """Forget the steps."""
-        self.landmarks, self.step = 0, None
-        self._frames = dict.fromkeys(self._frames, 0)
+        self.landmarks = 0
+        self.step: StepRecord | None = None
+        self._frames = dict.fromkeys(self._heard_s, 0)
+        self._failed_told = 0
+        self._lost_at_step = 0
+        self._loses_since_s: float | None = None
 
     def hear(self, robot: str) -> None:
         """A message of `robot` arrived now."""
-        self._heard_s[robot] = time.monotonic()
+        self._heard_s[robot] = self._clock()
 
-    def note(self, step: StepRecord) -> None:
-        """A step was done."""
+    def note(self, step: StepRecord, lost: int) -> None:
+        """A step was done, and so much was lost by then."""
         self.step = step
+        self._lost_at_step, self._loses_since_s = lost, None
         for frame in step.frames:
             self._frames[frame.robot] += 1
 
     def progress(self) -> str:
         """One line about the last step."""
         step = self.step
+        if step is None:
+            return "no step yet"
         return (
             f"step {step.step}, {len(step.frames)} robots, {self.landmarks} landmarks, "
             f"{step.effective_particles:.0f} effective particles, lag {self.lag_s:.2f} s"
@@ -45,10 +62,18 @@ class Health:
 
     def silence_s(self) -> float:
         """Time since the last message of any robot [s]."""
-        return time.monotonic() - max(self._heard_s.values())
+        return self._clock() - max(self._heard_s.values())
 
-    def statuses(self, queued: int, pending: int, dropped: Counter[str]) -> list[wire.Status]:
-        """One status for the filter, one for each robot."""
+    def statuses(
+        self, queued: int, pending: int, dropped: Counter[str], unheard: dict[str, str]
+    ) -> list[wire.Status]:
+        """One status for the filter, one for each robot.
+
+        Parameters
+        ----------
+        unheard : what to say of topics on which nothing was ever heard, by name.
+
+        """
         values = {
             "steps": self.step.step if self.step else 0,
             "landmarks": self.landmarks,
@@ -58,13 +83,31 @@ class Health:
             "frames held back": pending,
             "lag [s]": f"{self.lag_s if queued else 0:.3f}",
             **{f"dropped: {reason}": count for reason, count in sorted(dropped.items())},
+            **{f"unheard: {name}": text for name, text in sorted(unheard.items())},
         }
-        level, message = (wire.WARN, "messages were dropped") if dropped else (wire.OK, "running")
-        filter_status = wire.Status("fusion", _texts(values), level, message)
+        filter_status = wire.Status("fusion", _texts(values), *self._level(dropped))
         return [filter_status, *(self._robot_status(robot) for robot in self._heard_s)]
 
+    def _level(self, dropped: Counter[str]) -> tuple[int, str]:
+        """Level and message: the worst first."""
+        failed, self._failed_told = dropped[FAILED_STEP] - self._failed_told, dropped[FAILED_STEP]
+        if failed:
+            return wire.ERROR, "a step failed: the estimate is as before"
+        if self.step and not np.isfinite(self.step.effective_particles):
+            return wire.ERROR, "the particles' weights are not finite: start over"
+        if self._nothing_but_losses(dropped.total()):
+            return wire.ERROR, "nothing but losses: see what is dropped, and why"
+        return (wire.WARN, "messages were dropped") if dropped else (wire.OK, "running")
+
+    def _nothing_but_losses(self, lost: int) -> bool:
+        if lost == self._lost_at_step:
+            return False
+        if self._loses_since_s is None:
+            self._loses_since_s = self._clock()
+        return self._clock() - self._loses_since_s > self._silent_s
+
     def _robot_status(self, robot: str) -> wire.Status:
-        silence_s = time.monotonic() - self._heard_s[robot]
+        silence_s = self._clock() - self._heard_s[robot]
         is_silent = silence_s > self._silent_s
         level, message = (wire.WARN, "silent") if is_silent else (wire.OK, "heard")
         values = {"last heard [s ago]": f"{silence_s:.1f}", "frames": self._frames[robot]}

@@ -57,7 +57,7 @@ class Pipeline:
     @property
     def pending(self) -> int:
         """Frames held back."""
-        return self._reorder.pending
+        return self._guard.pending + self._reorder.pending
 
     def handle(self, event: Event) -> list[StepRecord]:
         """Take one event; the steps that became possible are done and returned, oldest first."""

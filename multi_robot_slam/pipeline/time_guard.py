@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from msg_defs.types import Event
+from msg_defs.types import Event, ObservationSet
 
 MOST_HELD = 1000
 """Events held back; the clock of a robot that fills this is wrong for good."""
@@ -40,6 +40,11 @@ class TimeGuard:
         self._held: list[Event] = []
         self._unanswered_since_ns: dict[Stream, int] = {}
         """Stamp of the first event of each stream held since another robot spoke."""
+
+    @property
+    def pending(self) -> int:
+        """Frames held back."""
+        return sum(isinstance(event, ObservationSet) for event in self._held)
 
     def admit(self, event: Event) -> list[Event]:
         """Take one event; those that are believed now, in the order they came."""

@@ -13,7 +13,9 @@ from hypothesis import strategies as st
 from msg_defs import scenario_file, topics, wire
 from msg_defs.errors import InputError
 from msg_defs.types import Sightings, StepRecord
+from msg_defs.wire.messages import PointCloud2, decode, encode
 from multi_robot_slam.config import SECTION, Config
+from multi_robot_slam.filter import rbpf
 from multi_robot_slam.models.motion import move, wrap
 from multi_robot_slam.pipeline.pipeline import Pipeline
 from sim_world.scenario import Scenario
@@ -93,6 +95,13 @@ def everything():
     return [message for step in STEPS for message in messages(step)]
 
 
+def in_frame(data, template):
+    """The cloud in another frame; {robot} stands for the robot's name."""
+    cloud = decode(PointCloud2, data, "cloud")
+    cloud.header.frame_id = topics.camera_frame(cloud.header.frame_id.split("/")[0], template)
+    return encode(cloud)
+
+
 def test_live_estimates_equal_those_of_the_pipeline(parameters):
     heard = run(parameters, everything())
     records, pipeline = filtered()
@@ -136,6 +145,103 @@ def test_damaged_messages_are_counted_and_the_fusion_goes_on(parameters):
     assert [wire.decode_step(data).step for data in heard[topics.STEPS]] == list(
         range(1, len(STEPS) + 1)
     )
+
+
+def test_decodable_nonsense_is_lost_alone(parameters):
+    """Each of these ended the fusion and its map."""
+    first = STEPS[0][0]
+    seen, step_ns = (
+        first.observations,
+        STEPS[1][0].odometry.stamp_ns - STEPS[0][0].odometry.stamp_ns,
+    )
+    between = first.odometry.stamp_ns + step_ns // 2
+    isotropic = np.array([1, 0, 0, 1, 0, 1], np.float32)
+    odd_clouds = [
+        replace(seen, covariances=seen.covariances * 0 + isotropic * np.float32(3e38)),
+        replace(seen, covariances=seen.covariances * 0 + isotropic * np.float32(1e-14)),
+        replace(seen, positions=seen.positions * 0 + np.float32(1e19)),
+        replace(seen, descriptors=seen.descriptors * 0),
+    ]
+    odd_odometry = [
+        replace(first.odometry, pose=np.array([1e150, 0, 0]), stamp_ns=between),
+        replace(first.odometry, pose=np.array([1e7, 0, 0]), stamp_ns=between + 1),
+    ]
+    odd = [
+        (topics.observations("robot_1"), wire.encode_observations(replace(e, stamp_ns=between + i)))
+        for i, e in enumerate(odd_clouds)
+    ] + [
+        (topics.odometry("robot_1"), wire.encode_pose(e, "robot_1/odom", "robot_1/base_link"))
+        for e in odd_odometry
+    ]
+    sent = [*messages(STEPS[0]), *odd, *(m for step in STEPS[1:] for m in messages(step))]
+    heard = run(parameters, sent)
+    assert dropped(heard) == {
+        "implausible observations": "3",
+        "implausible descriptors": "1",
+        "implausible odometry": "1",
+        "odometry jump": "1",
+    }
+    records, _ = filtered()
+    assert [timeless(wire.decode_step(data)) for data in heard[topics.STEPS]] == [
+        timeless(record) for record in records
+    ]
+
+
+@pytest.mark.parametrize("kind", [topics.odometry, topics.observations])
+def test_one_stamp_far_ahead_does_not_make_the_team_start_over(parameters, kind):
+    place = 6
+    event = STEPS[place][1].odometry if kind is topics.odometry else STEPS[place][1].observations
+    odd = replace(event, stamp_ns=event.stamp_ns + 6 * 10**9)
+    data = (
+        wire.encode_pose(odd, "robot_2/odom", "robot_2/base_link")
+        if kind is topics.odometry
+        else wire.encode_observations(odd)
+    )
+    before = [m for step in STEPS[:place] for m in messages(step)]
+    after = [m for step in STEPS[place:] for m in messages(step)]
+    heard = run(parameters, [*before, (kind("robot_2"), data), *after])
+    assert dropped(heard) == {"stamp far ahead": "1"}
+    records, _ = filtered()
+    assert [timeless(wire.decode_step(data)) for data in heard[topics.STEPS]] == [
+        timeless(record) for record in records
+    ]
+
+
+def test_a_failed_step_is_an_error_in_the_diagnostics(parameters, monkeypatch):
+    right, done = rbpf.step, []
+
+    def fails(*arguments):
+        done.append(arguments)
+        if len(done) > 5:
+            raise np.linalg.LinAlgError("singular")
+        return right(*arguments)
+
+    with nodes.ros(*parameters):
+        node, listener = fusion.Fusion(), nodes.Listener(*OUTPUTS)
+        monkeypatch.setattr(rbpf, "step", fails)
+        listener.send(everything())
+        nodes.spin_until(lambda: node.done, node, listener)
+        node.close()
+        nodes.spin_until(lambda: listener.heard[topics.MAP_LANDMARKS], listener)
+        heard = listener.heard
+    levels = [wire.decode_diagnostics(d)[1][0].level for d in heard[topics.DIAGNOSTICS]]
+    assert wire.ERROR in levels
+    assert int(dropped(heard)["failed step"]) == len(STEPS) - 5
+    assert len(heard[topics.STEPS]) == 5
+
+
+def test_the_clouds_frame_is_a_setting(parameters):
+    def sent(frame):
+        return [
+            (topic, in_frame(data, frame)) if "stereo" in topic.name else (topic, data)
+            for topic, data in everything()
+        ]
+
+    heard = run([*parameters, "-p", "camera_frame:='cam/{robot}'"], sent("cam/{robot}"))
+    assert dropped(heard) == {}
+    assert len(heard[topics.STEPS]) == len(STEPS)
+    heard = run([*parameters, "-p", "camera_frame:=''"], sent("whatever"))
+    assert dropped(heard) == {}
 
 
 def test_what_the_pipeline_drops_is_counted(parameters):
@@ -188,6 +294,29 @@ def test_sightings_reach_the_pipeline_where_robots_send_them(parameters):
     assert len(heard[topics.STEPS]) == len(STEPS)
 
 
+def test_a_topic_that_nobody_publishes_is_told_with_what_is_there_instead(parameters):
+    renamed = [
+        (topic._replace(name=topic.name.replace("robot_1/odom", "robot1/odom")), data)
+        for topic, data in everything()
+        if topic != topics.odometry("robot_2")
+    ]
+    with nodes.ros(*parameters, "-p", "unheard_s:=0.5", "-p", "stop_after_s:=0.0"):
+        node, listener = fusion.Fusion(), nodes.Listener(topics.DIAGNOSTICS)
+        for topic, _ in renamed:
+            nodes.endpoints.publisher(listener, topic)
+
+        def unheard():
+            heard = listener.heard[topics.DIAGNOSTICS]
+            return heard and [
+                text
+                for key, text in wire.decode_diagnostics(heard[-1])[1][0].values.items()
+                if key == "unheard: /robot_1/odom"
+            ]
+
+        nodes.spin_until(unheard, node, listener)
+        assert "/robot1/odom would fit" in unheard()[0]
+
+
 def test_works_under_a_namespace(parameters):
     with nodes.ros(*parameters, "-r", "__ns:=/team"):
         names = {name for name, _ in fusion.Fusion().get_topic_names_and_types()}
@@ -220,6 +349,6 @@ def test_odometry_seen_from_the_map_is_the_estimate(estimate, odometry):
 
 def test_interrupt_ends_the_process_within_three_seconds(spawn):
     process = spawn(sys.executable, "-m", fusion.__name__, stderr=subprocess.PIPE, text=True)
-    nodes.wait_for_line(process, "ready for robot_1")
+    nodes.wait_for_line(process, "other machines are not heard")
     process.send_signal(signal.SIGINT)
     assert process.wait(3) == 0
