@@ -2,7 +2,7 @@
 
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import rclpy
 from rclpy.clock import Clock, ClockType
@@ -15,6 +15,7 @@ from rclpy.utilities import remove_ros_args
 
 from msg_defs.errors import InputError
 from msg_defs.ros import environment
+from msg_defs.ros.parameters import QOS_OVERRIDES
 from msg_defs.ros.usage import Usage
 
 SPIN_TIMEOUT_S = 0.1
@@ -90,6 +91,7 @@ def _init(args: list[str]) -> None:
 
 def _run(node: EdgeNode, stops: list[int]) -> int:
     nodes = [node, *node.companions]
+    _refuse_unused_overrides(node.overridden, nodes)
     executor = EventsExecutor()
     for one in nodes:
         executor.add_node(one)
@@ -105,6 +107,25 @@ def _run(node: EdgeNode, stops: list[int]) -> int:
         for one in nodes:
             one.destroy_node()
     return node.exit_code
+
+
+def _refuse_unused_overrides(given: Iterable[str], nodes: list[Node]) -> None:
+    """A quality of service that is given for a topic these nodes do not have changes nothing."""
+    names = {
+        f"{QOS_OVERRIDES}{endpoint.topic_name}.{kind}."
+        for node in nodes
+        for kind, endpoints in (
+            ("publisher", node.publishers),
+            ("subscription", node.subscriptions),
+        )
+        for endpoint in endpoints
+    }
+    for name in given:
+        if name.startswith(QOS_OVERRIDES) and not name.startswith(tuple(names)):
+            raise InputError(
+                f"parameter '{name}': no such topic; write {QOS_OVERRIDES}/TOPIC.subscription."
+                "reliability, or publisher, and depth, history"
+            )
 
 
 def take_waiting(node: EdgeNode, executor: Executor) -> None:

@@ -1,5 +1,6 @@
 """PointCloud2: observations, which landmark each is of, and the landmark map."""
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -40,11 +41,11 @@ class _Column(NamedTuple):
     """One field of a cloud: written as the first of `datatypes`, read as any of them."""
 
     name: str
-    count: int = 1
+    size: int = 1
     datatypes: tuple[_Datatype, ...] = (_FLOAT32,)
 
     def __str__(self) -> str:
-        return f"{' or '.join(d.name for d in self.datatypes)} x {self.count}"
+        return f"{' or '.join(d.name for d in self.datatypes)} x {self.size}"
 
 
 _POSITION = (_Column("x"), _Column("y"), _Column("z"))
@@ -213,14 +214,14 @@ def _encode_cloud(
 
 def _layout(table: tuple[_Column, ...]) -> tuple[np.dtype, list]:
     """The fields of `table`, one after the other without gaps."""
-    dtype = np.dtype([(c.name, c.datatypes[0].dtype, (c.count,) * (c.count > 1)) for c in table])
-    fields = [
-        PointField(c.name, dtype.fields[c.name][1], c.datatypes[0].code, c.count) for c in table
-    ]
+    dtype = np.dtype([(c.name, c.datatypes[0].dtype, (c.size,) * (c.size > 1)) for c in table])
+    places: Mapping[str, Any] = dtype.fields or {}
+    fields = [PointField(c.name, places[c.name][1], c.datatypes[0].code, c.size) for c in table]
     return dtype, fields
 
 
-_LAYOUTS = {table: _layout(table) for table in (_OBSERVATION, _SIGHTINGS, _TRUTH, _MAP)}
+_TABLES: tuple[tuple[_Column, ...], ...] = (_OBSERVATION, _SIGHTINGS, _TRUTH, _MAP)
+_LAYOUTS = {table: _layout(table) for table in _TABLES}
 
 
 def _decode_cloud(
@@ -263,12 +264,12 @@ def _column(points: np.ndarray, column: _Column, field: Any, cloud: Any, what: s
             f"{what}: no field '{column.name}' among {_names(cloud)}; publish it as {column}"
         )
     datatype = next((d for d in column.datatypes if d.code == field.datatype), None)
-    if datatype is None or field.count != column.count:
+    if datatype is None or field.count != column.size:
         raise InputError(
             f"{what}: field '{column.name}' has datatype {field.datatype} x {field.count}; "
             f"publish it as {column}"
         )
-    end = field.offset + datatype.dtype.itemsize * column.count
+    end = field.offset + datatype.dtype.itemsize * column.size
     if end > cloud.point_step:
         raise InputError(
             f"{what}: field '{column.name}' ends at byte {end} of a point of {cloud.point_step} "
@@ -278,7 +279,7 @@ def _column(points: np.ndarray, column: _Column, field: Any, cloud: Any, what: s
     values = points[:, field.offset : end].copy().view(stored).astype(datatype.dtype, copy=False)
     if datatype is _FLOAT32:
         require_finite(values, what, column.name)
-    return values if column.count > 1 else values[:, 0]
+    return values if column.size > 1 else values[:, 0]
 
 
 def _names(cloud: Any) -> str:

@@ -1,6 +1,7 @@
 """ROS's message types, their CDR bytes, and the header all of them have."""
 
 import importlib
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -10,42 +11,43 @@ from rosbags.typesys import Stores, get_typestore
 from msg_defs.errors import InputError
 
 _STORE = get_typestore(Stores.ROS2_JAZZY)
-Duration = _STORE.types["builtin_interfaces/msg/Duration"]
-Time = _STORE.types["builtin_interfaces/msg/Time"]
-DiagnosticArray = _STORE.types["diagnostic_msgs/msg/DiagnosticArray"]
-DiagnosticStatus = _STORE.types["diagnostic_msgs/msg/DiagnosticStatus"]
-KeyValue = _STORE.types["diagnostic_msgs/msg/KeyValue"]
-Point = _STORE.types["geometry_msgs/msg/Point"]
-Pose = _STORE.types["geometry_msgs/msg/Pose"]
-PoseArray = _STORE.types["geometry_msgs/msg/PoseArray"]
-PoseStamped = _STORE.types["geometry_msgs/msg/PoseStamped"]
-PoseWithCovariance = _STORE.types["geometry_msgs/msg/PoseWithCovariance"]
-PoseWithCovarianceStamped = _STORE.types["geometry_msgs/msg/PoseWithCovarianceStamped"]
-Quaternion = _STORE.types["geometry_msgs/msg/Quaternion"]
-Transform = _STORE.types["geometry_msgs/msg/Transform"]
-TransformStamped = _STORE.types["geometry_msgs/msg/TransformStamped"]
-Twist = _STORE.types["geometry_msgs/msg/Twist"]
-TwistWithCovariance = _STORE.types["geometry_msgs/msg/TwistWithCovariance"]
-Vector3 = _STORE.types["geometry_msgs/msg/Vector3"]
-Odometry = _STORE.types["nav_msgs/msg/Odometry"]
-Path = _STORE.types["nav_msgs/msg/Path"]
-Clock = _STORE.types["rosgraph_msgs/msg/Clock"]
-CompressedImage = _STORE.types["sensor_msgs/msg/CompressedImage"]
-PointCloud2 = _STORE.types["sensor_msgs/msg/PointCloud2"]
-PointField = _STORE.types["sensor_msgs/msg/PointField"]
-ColorRGBA = _STORE.types["std_msgs/msg/ColorRGBA"]
-Header = _STORE.types["std_msgs/msg/Header"]
-String = _STORE.types["std_msgs/msg/String"]
-TFMessage = _STORE.types["tf2_msgs/msg/TFMessage"]
-Marker = _STORE.types["visualization_msgs/msg/Marker"]
-MarkerArray = _STORE.types["visualization_msgs/msg/MarkerArray"]
-MeshFile = _STORE.types["visualization_msgs/msg/MeshFile"]
+_TYPES: Mapping[str, Any] = _STORE.types
+Duration = _TYPES["builtin_interfaces/msg/Duration"]
+Time = _TYPES["builtin_interfaces/msg/Time"]
+DiagnosticArray = _TYPES["diagnostic_msgs/msg/DiagnosticArray"]
+DiagnosticStatus = _TYPES["diagnostic_msgs/msg/DiagnosticStatus"]
+KeyValue = _TYPES["diagnostic_msgs/msg/KeyValue"]
+Point = _TYPES["geometry_msgs/msg/Point"]
+Pose = _TYPES["geometry_msgs/msg/Pose"]
+PoseArray = _TYPES["geometry_msgs/msg/PoseArray"]
+PoseStamped = _TYPES["geometry_msgs/msg/PoseStamped"]
+PoseWithCovariance = _TYPES["geometry_msgs/msg/PoseWithCovariance"]
+PoseWithCovarianceStamped = _TYPES["geometry_msgs/msg/PoseWithCovarianceStamped"]
+Quaternion = _TYPES["geometry_msgs/msg/Quaternion"]
+Transform = _TYPES["geometry_msgs/msg/Transform"]
+TransformStamped = _TYPES["geometry_msgs/msg/TransformStamped"]
+Twist = _TYPES["geometry_msgs/msg/Twist"]
+TwistWithCovariance = _TYPES["geometry_msgs/msg/TwistWithCovariance"]
+Vector3 = _TYPES["geometry_msgs/msg/Vector3"]
+Odometry = _TYPES["nav_msgs/msg/Odometry"]
+Path = _TYPES["nav_msgs/msg/Path"]
+Clock = _TYPES["rosgraph_msgs/msg/Clock"]
+CompressedImage = _TYPES["sensor_msgs/msg/CompressedImage"]
+PointCloud2 = _TYPES["sensor_msgs/msg/PointCloud2"]
+PointField = _TYPES["sensor_msgs/msg/PointField"]
+ColorRGBA = _TYPES["std_msgs/msg/ColorRGBA"]
+Header = _TYPES["std_msgs/msg/Header"]
+String = _TYPES["std_msgs/msg/String"]
+TFMessage = _TYPES["tf2_msgs/msg/TFMessage"]
+Marker = _TYPES["visualization_msgs/msg/Marker"]
+MarkerArray = _TYPES["visualization_msgs/msg/MarkerArray"]
+MeshFile = _TYPES["visualization_msgs/msg/MeshFile"]
 
 
-def message_type(type_name: str) -> type:
+def message_type(type_name: str) -> Any:
     """The class this module decodes a message type to; `InputError` where ROS has none such."""
     try:
-        return _STORE.types[type_name]
+        return _TYPES[type_name]
     except KeyError:
         raise InputError(f"{type_name} is no message type of ROS 2 Jazzy; use one") from None
 
@@ -66,7 +68,7 @@ def encode(message: Any) -> bytes:
     return bytes(_STORE.serialize_cdr(message, message.__msgtype__))
 
 
-def decode(message_type: type, data: bytes, what: str) -> Any:
+def decode(message_type: Any, data: bytes, what: str) -> Any:
     """The message in CDR bytes; `what` it is begins the complaint when it is none."""
     name = message_type.__msgtype__
     try:

@@ -73,8 +73,8 @@ def decode_walls(data: bytes) -> Walls:
     require_frame(marker.header.frame_id, (MAP_FRAME,), what)
     points = np.array([(p.x, p.y, p.z) for p in marker.points], np.float64).reshape(-1, 3)
     require_finite(points, what, "corner")
-    segments = points[: len(points) // _WALL_SIZE * _WALL_SIZE].reshape(-1, _WALL_SIZE, 3)
-    segments = segments[:, :2, :2].reshape(-1, 4)
+    corners = points[: len(points) // _WALL_SIZE * _WALL_SIZE].reshape(-1, _WALL_SIZE, 3)
+    segments = corners[:, :2, :2].reshape(-1, 4)
     height_m = marker.scale.z
     if not (
         marker.type == Marker.TRIANGLE_LIST

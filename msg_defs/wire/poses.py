@@ -74,7 +74,9 @@ def encode_estimate(estimate: Estimate) -> bytes:
 
 
 def encode_mean(estimate: Estimate) -> bytes:
-    """PoseWithCovarianceStamped of the particles' mean in `map`."""
+    """PoseWithCovarianceStamped of the particles' mean in `map`; `ValueError` without one."""
+    if estimate.mean is None:
+        raise ValueError(f"the estimate of {estimate.robot} has no mean")
     return encode_estimate(replace(estimate, pose=estimate.mean))
 
 

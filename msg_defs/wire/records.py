@@ -1,6 +1,6 @@
 """Words and numbers: text, diagnostics, and the filter's step records."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -164,7 +164,7 @@ def _text(values: Mapping[str, str], key: str) -> str:
         raise InputError(f"{_STEP}: no value '{key}'; record it again") from None
 
 
-def _number(values: Mapping[str, str], key: str, kind: type) -> Any:
+def _number(values: Mapping[str, str], key: str, kind: Callable[[str], Any]) -> Any:
     text = _text(values, key)
     try:
         return kind(text)

@@ -107,6 +107,7 @@ def test_signals_end_a_node_once_and_cleanly(signals):
         (["--ros-args", "-p", "speed:=[1, a]"], "speed"),
         (["--ros-args", "-p", "speed:=-1.0"], "speed = -1.0"),
         (["--ros-args", "-r", "__ns:=/a b"], "a b"),
+        (["--ros-args", "-p", "qos_overrides./odom.subscription.depth:=3"], "no such topic"),
     ],
 )
 def test_bad_input_is_one_line_and_exit_code_2(arguments, reason, capfd):
