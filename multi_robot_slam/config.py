@@ -14,6 +14,9 @@ SECTION = "multi_robot_slam"
 MOST_ROBOTS = 32
 """A landmark keeps which robots observed it in as many bits."""
 
+SHORTEST_APART_S = 1.0
+"""Clocks on one machine, and messages on their way, differ by less."""
+
 
 @settings
 class Plausible:
@@ -63,12 +66,6 @@ class Plausible:
     fastest_rad_s: Annotated[
         float, Gt(0), "fastest turn between two odometry samples [rad/s]; 1.6 turns a second"
     ] = 10.0
-    ahead_s: Annotated[
-        float,
-        Gt(0),
-        "a stamp further ahead of the other robots is not believed, in message time [s]; "
-        "reorder_window_s if that is longer",
-    ] = 5.0
 
 
 @settings
@@ -121,6 +118,6 @@ class Config:
         return CameraMount(*self.mounts[robot]) if self.mounts else self.mount
 
     @property
-    def ahead_ns(self) -> int:
-        """How far ahead of the other robots a stamp is believed [ns]."""
-        return int(max(self.plausible.ahead_s, self.reorder_window_s) * 1e9)
+    def apart_ns(self) -> int:
+        """How far apart the stamps of robots may be that are heard at one time [ns]."""
+        return int(max(self.reorder_window_s, SHORTEST_APART_S) * 1e9)

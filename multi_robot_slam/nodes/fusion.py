@@ -125,8 +125,7 @@ class Fusion(EdgeNode):
 
     def _begin(self) -> None:
         self._pipeline = Pipeline(self._config, self._warn)
-        window_ns = int(self._config.reorder_window_s * 1e9)
-        self._rewind = Rewind(window_ns, self._config.ahead_ns)
+        self._rewind = Rewind(self._config.apart_ns)
         self._has_news = False
 
     def _publish(self, topic: topics.Topic, data: bytes) -> None:

@@ -27,7 +27,7 @@ FAILURES = (np.linalg.LinAlgError,)
 """What `rbpf.step` raises where it cannot be done."""
 
 FAILED_STEP = "failed step"
-FAR_AHEAD = Doubt("stamp far ahead", "synchronise the robots' clocks, or raise plausible.ahead_s")
+FAR_AHEAD = Doubt("stamp far ahead", "synchronise the robots' clocks, or raise reorder_window_s")
 
 
 class Pipeline:
@@ -47,7 +47,7 @@ class Pipeline:
         self._warn = warn
         self._rng = np.random.default_rng(config.seed)
         self._state = rbpf.init(np.array(config.start_poses), config.filter)
-        self._guard = TimeGuard(config.ahead_ns, lambda event: self._drop(event, FAR_AHEAD))
+        self._guard = TimeGuard(config.apart_ns, lambda event: self._drop(event, FAR_AHEAD))
         self._reorder = Reorder(config, self._drop)
 
     def warm_up(self) -> None:

@@ -43,12 +43,12 @@ def thinned(seen: ObservationSet, most: int) -> ObservationSet:
 
 def _of_odometry(sample: PoseSample, limits: Plausible) -> Doubt | None:
     distance_m = np.hypot(*sample.pose[:2])
-    if distance_m <= limits.farthest_odometry_m:
+    if distance_m <= limits.farthest_odometry_m and np.isfinite(sample.pose[2]):
         return None
     return Doubt(
         "implausible odometry",
-        f"{distance_m:.3g} m from the origin; correct it, or raise plausible.farthest_odometry_m = "
-        f"{limits.farthest_odometry_m:g}",
+        f"{distance_m:.3g} m from the origin, yaw {sample.pose[2]:g} rad; correct it, or raise "
+        f"plausible.farthest_odometry_m = {limits.farthest_odometry_m:g}",
     )
 
 

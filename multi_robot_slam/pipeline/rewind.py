@@ -19,14 +19,14 @@ class Rewind:
 
     Parameters
     ----------
-    window_ns : how far back everyone must go [ns].
-    ahead_ns : how far ahead a stamp is believed [ns], see `TimeGuard`.
+    window_ns : how far back everyone must go; no stamp is believed that is further ahead
+        (`TimeGuard`) [ns].
 
     """
 
-    def __init__(self, window_ns: int, ahead_ns: int) -> None:
+    def __init__(self, window_ns: int) -> None:
         self._window_ns = window_ns
-        self._guard = TimeGuard(ahead_ns)
+        self._guard = TimeGuard(window_ns)
         self._clock_went_back = False
         self._newest_ns: dict[Stream, int] = {}
         self._back: set[Stream] = set()

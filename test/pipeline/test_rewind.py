@@ -1,5 +1,7 @@
 """Time goes back for the whole team, or for nobody."""
 
+from dataclasses import replace
+
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
@@ -35,11 +37,11 @@ def shuffled(some, seed):
 
 def runs(events):
     """The events by run, as a fusion tells the runs apart."""
-    rewind, found = Rewind(WINDOW, WINDOW), [[]]
+    rewind, found = Rewind(WINDOW), [[]]
     for event in events:
         if rewind.note(event):
             beginning = rewind.beginning()
-            rewind = Rewind(WINDOW, WINDOW)
+            rewind = Rewind(WINDOW)
             assert not any(map(rewind.note, beginning))
             # The last of these began the run, the others were kept back from the run before.
             del found[-1][len(found[-1]) - len(beginning) + 1 :]
@@ -65,6 +67,19 @@ def test_a_robot_that_is_late_is_no_rewind(seed, delay):
     assert len(runs([*late[:2], *others[:place], *late, *others[place:], *late])) == 1
 
 
+@given(
+    seed=st.integers(0, 1000),
+    place=st.integers(0, 100),
+    ahead=st.sampled_from([6, 60, 3600]),
+)
+def test_one_stamp_ahead_of_all_is_no_rewind(seed, place, ahead):
+    """Whoever sent it, and whenever."""
+    events = shuffled(streams(20), seed)
+    wild = events[place]
+    events[place] = replace(wild, stamp_ns=wild.stamp_ns + ahead * SECOND)
+    assert len(runs(events)) == 1
+
+
 def test_odometry_alone_that_goes_back_is_no_rewind():
     some = streams(20)
     assert len(runs([*shuffled(some, 0), *(e for stream in some[::2] for e in stream)])) == 1
@@ -80,7 +95,7 @@ def test_robots_that_fell_silent_are_not_waited_for():
 def test_once_the_clock_went_back_the_first_that_is_not_newer_begins_the_run(seed, early, seconds):
     """However short the run is, and however many of its messages are taken after the clock."""
     events = shuffled(streams(seconds), seed)
-    rewind, early = Rewind(WINDOW, WINDOW), min(early, len(events))
+    rewind, early = Rewind(WINDOW), min(early, len(events))
     assert not any(map(rewind.note, events[: len(events) - early]))
     rewind.clock_went_back()
     assert not any(map(rewind.note, events[len(events) - early :]))
