@@ -161,6 +161,33 @@ def test_what_is_far_or_exact_but_possible_is_used():
         assert plausibility.doubt(event, Plausible()) is None
 
 
+@pytest.mark.parametrize("sigma_m", [1e-5, 1e4])
+def test_limits_are_of_the_standard_deviation(sigma_m):
+    inwards = 1.05 if sigma_m < 1 else 0.95
+    seen = STEPS[0][0].observations
+    of = {s: isotropic(s**2)(seen) for s in (sigma_m * inwards, sigma_m / inwards)}
+    assert [bool(plausibility.doubt(seen, Plausible())) for seen in of.values()] == [False, True]
+
+
+def test_a_robot_whose_frames_are_all_implausible_holds_up_nobody():
+    pipeline = Pipeline(CONFIG)
+    done = []
+    for event in clean():
+        if event.robot == "robot_2" and isinstance(event, ObservationSet):
+            event = observed(descriptors=lambda d: d * 0)(event)
+        done += pipeline.handle(event)
+    assert len(done) >= len(STEPS) - 1
+    assert pipeline.dropped == {"implausible descriptors": len(STEPS)}
+
+
+def test_a_wild_sample_at_the_very_end_is_counted():
+    *events, odometry_3, frame_3 = clean()
+    wild = replace(odometry_3, pose=odometry_3.pose + np.array([50.0, 0, 0]))
+    steps, pipeline, _ = run([*events, wild, frame_3])
+    assert pipeline.dropped == {"odometry jump": 1, "frame without odometry": 1}
+    assert len(steps) == len(STEPS)
+
+
 @given(st.integers(1, 3000), st.integers(1, 1000))
 def test_thinning_keeps_as_many_as_allowed_evenly(count, most):
     rows = np.arange(count, dtype=np.float32)[:, None]
@@ -251,6 +278,36 @@ def test_the_guard_lets_each_event_through_once_or_drops_it(sent):
     guard = TimeGuard(5 * SECOND, dropped.append)
     admitted = [a for e in events for a in guard.admit(e)] + guard.rest()
     assert sorted(map(id, admitted + dropped)) == sorted(map(id, events))
+
+
+def at(robot, second):
+    return PoseSample(robot, int(second * SECOND), np.zeros(3))
+
+
+def admitted(guard, *events):
+    """The stamps that are let through at each event [s]."""
+    return [[e.stamp_ns / SECOND for e in guard.admit(event)] for event in events]
+
+
+def test_a_robot_alone_is_believed_when_its_stream_goes_on():
+    guard = TimeGuard(5 * SECOND)
+    sent = [at("a", second) for second in (0, 1, 60, 60.1, 60.2)]
+    assert admitted(guard, *sent) == [[], [0, 1], [], [60, 60.1], [60.2]]
+
+
+def test_two_robots_that_leap_as_far_are_believed():
+    guard = TimeGuard(5 * SECOND)
+    sent = [at("a", 0), at("b", 0), at("c", 0), at("a", 60), at("b", 61), at("c", 61)]
+    assert admitted(guard, *sent) == [[], [0, 0], [0], [], [60, 61], [61]]
+
+
+def test_a_clock_that_is_ahead_stays_within_the_limit_of_the_others():
+    guard, newest = TimeGuard(5 * SECOND), 0.0
+    for i in range(400):
+        newest = max(newest, i / 10)
+        guard.admit(at("a", i / 10))
+        for let_through in admitted(guard, at("b", i / 10 + (6 if i > 50 else 0))):
+            assert all(stamp <= newest + 5 for stamp in let_through)
 
 
 def test_the_guard_keeps_no_more_than_it_may():
