@@ -23,8 +23,11 @@ from multi_robot_slam.pipeline.records import step_record
 from multi_robot_slam.pipeline.reorder import Reorder
 from multi_robot_slam.pipeline.time_guard import TimeGuard
 
-FAILURES = (np.linalg.LinAlgError,)
-"""What `rbpf.step` raises where it cannot be done."""
+FAILURES = (ArithmeticError, ValueError)
+"""What `rbpf.step` raises, with its state as before, where it cannot be done.
+
+`ValueError` includes NumPy's `LinAlgError`.
+"""
 
 FAILED_STEP = "failed step"
 FAR_AHEAD = Doubt("stamp far ahead", "synchronise the robots' clocks, or raise reorder_window_s")

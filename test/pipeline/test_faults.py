@@ -367,7 +367,9 @@ def test_odometry_that_no_frame_uses_is_bounded_counted_and_told():
     assert told == ["odometry not kept"] * 7
 
 
-@pytest.mark.parametrize("error", [np.linalg.LinAlgError("singular")])
+@pytest.mark.parametrize(
+    "error", [np.linalg.LinAlgError("singular"), ArithmeticError("no finite numbers")]
+)
 def test_a_step_that_cannot_be_done_is_lost_alone(monkeypatch, error):
     """The next motion begins where the last step that was done ended."""
     right, done = rbpf.step, []
