@@ -9,19 +9,18 @@ from annotated_types import Ge, Gt
 from rclpy.clock import JumpThreshold
 from rclpy.duration import Duration
 
-from msg_defs import scenario_file as yaml_settings
-from msg_defs import topics, wire
+from msg_defs import topics
 from msg_defs.errors import InputError
 from msg_defs.ros import environment
-from msg_defs.ros.endpoints import Audience, is_available, publisher, subscribe
+from msg_defs.ros.endpoints import Audience, subscribe
 from msg_defs.ros.parameters import declare
 from msg_defs.ros.spin import SPIN_TIMEOUT_S, EdgeNode, spin
 from msg_defs.ros.usage import Usage
-from msg_defs.types import Estimate, StepRecord, settings
+from msg_defs.types import StepRecord, settings
 from multi_robot_slam.config import SECTION, Config
-from multi_robot_slam.models.motion import increment, move
 from multi_robot_slam.nodes.health import Health
 from multi_robot_slam.nodes.inbox import Inbox, Message
+from multi_robot_slam.nodes.outputs import Outputs
 from multi_robot_slam.nodes.silence import Silence
 from multi_robot_slam.pipeline.decoding import Decode, inputs
 from multi_robot_slam.pipeline.pipeline import Pipeline
@@ -77,13 +76,9 @@ class Fusion(EdgeNode):
         self.get_logger().info("loading the filter, which is compiled the first time")
         self._pipeline.warm_up()
         self._inbox = Inbox(1e6 * self._settings.inbox_mb, self._lose)
-        self._outputs = {t: publisher(self, t) for t in self._output_topics()}
-        kinds = (topics.pose, topics.mean_pose)
-        lossless = [topics.STEPS, *(kind(robot) for robot in config.robots for kind in kinds)]
-        wanted = [(self._outputs[topic], self._settings.subscribers) for topic in lossless]
-        self._audience = Audience(self, wanted)
-        config_yaml = yaml_settings.to_yaml(**{SECTION: config})
-        self._publish(topics.FUSION_CONFIG, wire.encode_text(config_yaml))
+        self._outputs = Outputs(self, config, self._settings.publish_tf)
+        count = self._settings.subscribers
+        self._audience = Audience(self, [(one, count) for one in self._outputs.lossless()])
         heard = [self._listen(topic, *how) for topic, how in inputs(config).items()]
         self._silence = Silence(heard, self._settings.unheard_s)
         back = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1))
@@ -116,20 +111,10 @@ class Fusion(EdgeNode):
             self._warn(f"ended with {messages} messages and {frames} frames unfiltered")
         self._publish_diagnostics()
 
-    def _output_topics(self) -> list[topics.Topic]:
-        outputs = topics.fusion_outputs(self._config.robots)
-        wants_tf = self._settings.publish_tf and is_available(topics.TF)
-        if self._settings.publish_tf and not wants_tf:
-            self.get_logger().info("no /tf: tf2_msgs, which is no wheel, is not installed")
-        return [topic for topic in outputs if wants_tf or topic != topics.TF]
-
     def _begin(self) -> None:
         self._pipeline = Pipeline(self._config, self._warn)
         self._rewind = Rewind(self._config.apart_ns)
         self._has_news = False
-
-    def _publish(self, topic: topics.Topic, data: bytes) -> None:
-        self._outputs[topic].publish(data)
 
     def _listen(self, topic: topics.Topic, robot: str, decode: Decode) -> topics.Topic:
         """Put what comes on a topic of `robot` into the inbox; the topic with its whole name."""
@@ -173,64 +158,34 @@ class Fusion(EdgeNode):
             self._publish_steps(self._pipeline.handle(event))
 
     def _publish_steps(self, steps: list[StepRecord]) -> None:
-        newest: dict[str, Estimate] = {}
         for step in steps:
             self._health.note(step, self._pipeline.dropped.total())
-            self._publish(topics.STEPS, wire.encode_step(step))
-            for estimate in step.estimates:
-                self._publish(topics.pose(estimate.robot), wire.encode_estimate(estimate))
-                self._publish(topics.mean_pose(estimate.robot), wire.encode_mean(estimate))
-                newest[estimate.robot] = estimate
-        if topics.TF in self._outputs:
-            for estimate in newest.values():
-                self._publish(topics.TF, self._transform(estimate))
+        self._outputs.steps(steps, self._pipeline)
         self._has_news |= bool(steps)
-
-    def _transform(self, estimate: Estimate) -> bytes:
-        """Pose of the robot's `odom` frame in `map` that puts its odometry at the estimate."""
-        odometry = self._pipeline.odometry_pose(estimate.robot)
-        pose = odom_in_map(estimate.pose, odometry)
-        frame_id = topics.odom_frame(estimate.robot)
-        return wire.encode_transform(estimate.stamp_ns, topics.MAP_FRAME, frame_id, pose)
 
     def _publish_pictures(self) -> None:
         step = self._health.step
         if step is None or not self._has_news:
             return
         self._has_news = False
-        stamp_ns = step.stamp_ns
-        landmarks, paths = self._pipeline.landmark_map(), self._pipeline.trajectories()
-        self._health.landmarks = len(landmarks.ids)
-        self._publish(topics.MAP_LANDMARKS, wire.encode_map(landmarks, stamp_ns))
-        self._publish(topics.MAP_MARKERS, wire.encode_markers(landmarks, paths, stamp_ns))
-        for robot, path in paths.items():
-            particles = self._pipeline.particles(robot)
-            self._publish(topics.path(robot), wire.encode_path(path, stamp_ns))
-            self._publish(topics.particles(robot), wire.encode_particles(particles, stamp_ns))
+        self._health.landmarks = self._outputs.pictures(step.stamp_ns, self._pipeline)
         self.get_logger().info(self._health.progress(), throttle_duration_sec=PROGRESS_PERIOD_S)
 
     def _publish_diagnostics(self) -> None:
-        for line in self._silence.news(self._published):
+        for line in self._silence.news(self._published_by_others):
             self.get_logger().warning(line)
         dropped, pending = self._pipeline.dropped, self._pipeline.pending
         statuses = self._health.statuses(len(self._inbox), pending, dropped, self._silence.told)
-        stamp_ns = self.get_clock().now().nanoseconds
-        self._publish(topics.DIAGNOSTICS, wire.encode_diagnostics(stamp_ns, statuses))
+        self._outputs.diagnostics(self.get_clock().now().nanoseconds, statuses)
 
-    def _published(self) -> dict[str, str]:
-        """The type of every topic that somebody publishes, by whole name."""
+    def _published_by_others(self) -> dict[str, str]:
+        """The type of every topic that somebody else publishes, by whole name."""
         known = self.get_topic_names_and_types()
-        return {name: types[0] for name, types in known if self.count_publishers(name)}
+        own = self._outputs.names
+        return {n: types[0] for n, types in known if n not in own and self.count_publishers(n)}
 
     def _warn(self, text: str) -> None:
         self.get_logger().warning(text, throttle_duration_sec=WARNING_PERIOD_S)
-
-
-def odom_in_map(estimate: np.ndarray, odometry: np.ndarray) -> np.ndarray:
-    """Pose (3,) of `odom` in `map` that puts the `odometry` pose (3,) at the `estimate` (3,)."""
-    pose = estimate[:, None].copy()
-    move(pose, increment(odometry, np.zeros(3))[:, None])
-    return pose[:, 0]
 
 
 def main(args: list[str] | None = None) -> int:

@@ -23,6 +23,7 @@ from sim_world.simulator import Simulation
 
 nodes = pytest.importorskip("nodes")
 fusion = pytest.importorskip("multi_robot_slam.nodes.fusion")
+outputs = pytest.importorskip("multi_robot_slam.nodes.outputs")
 
 pytestmark = pytest.mark.usefixtures("ros_domain_id")
 
@@ -341,7 +342,7 @@ poses = st.tuples(*[st.floats(-100, 100)] * 2, st.floats(-3, 3)).map(np.array)
 
 @given(estimate=poses, odometry=poses)
 def test_odometry_seen_from_the_map_is_the_estimate(estimate, odometry):
-    pose = fusion.odom_in_map(estimate, odometry)[:, None]
+    pose = outputs.odom_in_map(estimate, odometry)[:, None]
     move(pose, odometry[:, None])
     difference = pose[:, 0] - estimate
     np.testing.assert_allclose([*difference[:2], wrap(difference[2])], 0, atol=1e-9)

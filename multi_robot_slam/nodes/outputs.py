@@ -1,0 +1,87 @@
+"""What the fusion publishes of the estimate."""
+
+from collections.abc import Iterable
+
+import numpy as np
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+
+from msg_defs import scenario_file, topics, wire
+from msg_defs.ros.endpoints import is_available, publisher
+from msg_defs.types import Estimate, StepRecord
+from multi_robot_slam.config import SECTION, Config
+from multi_robot_slam.models.motion import increment, move
+from multi_robot_slam.pipeline.pipeline import Pipeline
+
+
+class Outputs:
+    """The publishers of a fusion; its configuration is published at once."""
+
+    def __init__(self, node: Node, config: Config, publish_tf: bool) -> None:
+        wants_tf = publish_tf and is_available(topics.TF)
+        if publish_tf and not wants_tf:
+            node.get_logger().info("no /tf: tf2_msgs is not installed; it comes with ROS")
+        wanted = topics.fusion_outputs(config.robots)
+        self._config = config
+        self._publishers = {
+            topic: publisher(node, topic) for topic in wanted if wants_tf or topic != topics.TF
+        }
+        text = scenario_file.to_yaml(**{SECTION: config})
+        self._publish(topics.FUSION_CONFIG, wire.encode_text(text))
+
+    @property
+    def names(self) -> set[str]:
+        """The whole names of all topics."""
+        return {one.topic_name for one in self._publishers.values()}
+
+    def lossless(self) -> list[Publisher]:
+        """Publishers of which no message may be missing in a recording."""
+        kinds = (topics.pose, topics.mean_pose)
+        poses = [kind(robot) for robot in self._config.robots for kind in kinds]
+        return [self._publishers[topic] for topic in (topics.STEPS, *poses)]
+
+    def steps(self, steps: Iterable[StepRecord], pipeline: Pipeline) -> None:
+        """Publish what was done; the newest poses also as transforms."""
+        newest: dict[str, Estimate] = {}
+        for step in steps:
+            self._publish(topics.STEPS, wire.encode_step(step))
+            for estimate in step.estimates:
+                self._publish(topics.pose(estimate.robot), wire.encode_estimate(estimate))
+                self._publish(topics.mean_pose(estimate.robot), wire.encode_mean(estimate))
+                newest[estimate.robot] = estimate
+        if topics.TF in self._publishers:
+            for estimate in newest.values():
+                odometry = pipeline.odometry_pose(estimate.robot)
+                self._publish(topics.TF, _transform(estimate, odometry))
+
+    def pictures(self, stamp_ns: int, pipeline: Pipeline) -> int:
+        """Publish map, paths and particles; the number of landmarks."""
+        landmarks, paths = pipeline.landmark_map(), pipeline.trajectories()
+        self._publish(topics.MAP_LANDMARKS, wire.encode_map(landmarks, stamp_ns))
+        self._publish(topics.MAP_MARKERS, wire.encode_markers(landmarks, paths, stamp_ns))
+        for robot, path in paths.items():
+            particles = pipeline.particles(robot)
+            self._publish(topics.path(robot), wire.encode_path(path, stamp_ns))
+            self._publish(topics.particles(robot), wire.encode_particles(particles, stamp_ns))
+        return len(landmarks.ids)
+
+    def diagnostics(self, stamp_ns: int, statuses: list[wire.Status]) -> None:
+        """Publish how the fusion is."""
+        self._publish(topics.DIAGNOSTICS, wire.encode_diagnostics(stamp_ns, statuses))
+
+    def _publish(self, topic: topics.Topic, data: bytes) -> None:
+        self._publishers[topic].publish(data)
+
+
+def odom_in_map(estimate: np.ndarray, odometry: np.ndarray) -> np.ndarray:
+    """Pose (3,) of `odom` in `map` that puts the `odometry` pose (3,) at the `estimate` (3,)."""
+    pose = estimate[:, None].copy()
+    move(pose, increment(odometry, np.zeros(3))[:, None])
+    return pose[:, 0]
+
+
+def _transform(estimate: Estimate, odometry: np.ndarray) -> bytes:
+    """Pose of the robot's `odom` frame in `map` that puts its `odometry` at the estimate."""
+    pose = odom_in_map(estimate.pose, odometry)
+    frame_id = topics.odom_frame(estimate.robot)
+    return wire.encode_transform(estimate.stamp_ns, topics.MAP_FRAME, frame_id, pose)
