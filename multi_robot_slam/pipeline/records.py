@@ -47,9 +47,7 @@ def step_record(
     )
 
 
-def _frame_record(
-    robot: str, info: FrameInfo, particle: int, sighting_gate: float
-) -> FrameRecord:
+def _frame_record(robot: str, info: FrameInfo, particle: int, sighting_gate: float) -> FrameRecord:
     matches = info.matches[:, particle]
     sighted = info.sighted.mahalanobis_sq[:, particle]
     is_new = matches == info.new_ids

@@ -390,6 +390,31 @@ def test_a_step_that_cannot_be_done_is_lost_alone(monkeypatch, error):
     assert error_m(steps) < 3.0
 
 
+OPEN = Plausible(
+    farthest_m=1e30,
+    smallest_sigma_m=1e-30,
+    largest_sigma_m=1e30,
+    descriptor_norm_error=1e30,
+    farthest_odometry_m=1e300,
+    fastest_m_s=1e300,
+)
+"""Whoever believes everything."""
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("proposal", ["informed", "motion"])
+def test_even_who_believes_everything_keeps_a_finite_state(name, proposal):
+    config = replace(CONFIG, plausible=OPEN, filter=replace(CONFIG.filter, proposal=proposal))
+    steps, pipeline, _ = run(with_odd(CASES[name][0]), config)
+    assert len(steps) + pipeline.dropped[FAILED_STEP] == len(STEPS)
+    assert len(steps) > ODD
+    for step in steps:
+        assert np.isfinite(step.effective_particles)
+        assert all(np.isfinite(estimate.pose).all() for estimate in step.estimates)
+    assert all(np.isfinite(path.poses).all() for path in pipeline.trajectories().values())
+
+
 @pytest.mark.parametrize("name", ["team/alice", "bo b/", "", "1st", "ro-bot", "é", "a\n"])
 def test_a_robot_has_a_name_that_ros_can_use(name):
     with pytest.raises(InputError, match="use letters, digits"):
