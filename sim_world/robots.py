@@ -2,7 +2,7 @@
 
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Annotated
 
 from annotated_types import Ge
@@ -72,8 +72,10 @@ class RobotNode(Node):
 class SimWorld(EdgeNode):
     """Plays a simulation; holds the parameters, and publishes what belongs to no robot."""
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        """`clock` is a monotonic one [s]."""
         super().__init__("sim_world")
+        self._now_s = clock
         scenario, playback = declare(self, *USAGE.classes, section=USAGE.section)
         simulation = Simulation(scenario, playback.seed, playback.only or None)
         self._robots = [RobotNode(name) for name in simulation.start_poses]
@@ -96,7 +98,7 @@ class SimWorld(EdgeNode):
             self.get_logger().info(f"the exploration is over: {self._published} steps published")
             self.done = True
             return 0.0
-        wait_s = self._due_s(self._next) - time.monotonic()
+        wait_s = self._due_s(self._next) - self._now_s()
         if wait_s > 0:
             return wait_s
         self._publish_step(self._next)
@@ -120,7 +122,7 @@ class SimWorld(EdgeNode):
     def _due_s(self, step: tuple[RobotStep, ...]) -> float:
         """When a step is to be published, on the monotonic clock [s]."""
         if self._started_s is None:
-            self._started_s = time.monotonic()
+            self._started_s = self._now_s()
             names = ", ".join(robot.get_name() for robot in self._robots)
             self.get_logger().info(f"publishing {names}")
         if self._speed == 0:

@@ -1,7 +1,7 @@
 """What a replay of a recording sends and when; knows no node."""
 
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 from msg_defs import topics, wire
 from msg_defs.errors import InputError
@@ -121,16 +121,20 @@ def messages(reader: BagReader, wanted: dict[str, Topic], start_ns: int) -> Iter
 
 
 class Pace:
-    """Where the replay is in the recording: its time goes on `rate` times as fast as ours."""
+    """Where the replay is in the recording: its time goes on `rate` times as fast as ours.
 
-    def __init__(self, rate: float) -> None:
+    `clock` is a monotonic one [s].
+    """
+
+    def __init__(self, rate: float, clock: Callable[[], float] = time.monotonic) -> None:
         self._rate = rate
+        self._clock = clock
         self._since: tuple[float, int] | None = None
         self._recorded_ns = 0
 
     def start(self, recorded_ns: int) -> None:
         """Be at this time of the recording, and go on."""
-        self._since = time.monotonic(), recorded_ns
+        self._since = self._clock(), recorded_ns
 
     def pause(self) -> None:
         """Stand still until `resume`."""
@@ -145,7 +149,7 @@ class Pace:
         if self._since is None:
             return self._recorded_ns
         started_s, recorded_ns = self._since
-        return recorded_ns + int((time.monotonic() - started_s) * self._rate * 1e9)
+        return recorded_ns + int((self._clock() - started_s) * self._rate * 1e9)
 
     def wait_s(self, recorded_ns: int) -> float:
         """How long until this time of the recording; negative when it is over."""

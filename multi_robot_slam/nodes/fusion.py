@@ -1,5 +1,6 @@
 """ROS: odometry and observations of the team in, poses and the landmark map out."""
 
+import re
 import sys
 import time
 from typing import Annotated
@@ -71,6 +72,7 @@ class Fusion(EdgeNode):
         super().__init__("fusion")
         config, self._settings = declare(self, *USAGE.classes, section=USAGE.section)
         self._config = config
+        self._warned_s: dict[str, float] = {}
         self._health = Health(config.robots, self._settings.silent_s)
         self._begin()
         self.get_logger().info("loading the filter, which is compiled the first time")
@@ -185,7 +187,11 @@ class Fusion(EdgeNode):
         return {n: types[0] for n, types in known if n not in own and self.count_publishers(n)}
 
     def _warn(self, text: str) -> None:
-        self.get_logger().warning(text, throttle_duration_sec=WARNING_PERIOD_S)
+        """Tell of a loss; of those that differ in numbers only, one in a while."""
+        kind, now_s = re.sub(r"[\d.]+", "", text), time.monotonic()
+        if now_s - self._warned_s.get(kind, -np.inf) > WARNING_PERIOD_S:
+            self._warned_s[kind] = now_s
+            self.get_logger().warning(text)
 
 
 def main(args: list[str] | None = None) -> int:

@@ -1,6 +1,8 @@
 """ROS: publishes what was recorded in a bag, at its pace, with /clock."""
 
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -62,7 +64,8 @@ USAGE = Usage(
 class Replay(EdgeNode):
     """Publishes the recorded bytes on the recorded topics."""
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        """`clock` is a monotonic one [s]."""
         super().__init__("replay")
         (self._play,) = declare(self, *USAGE.classes)
         self._reader = _open(self._play.bag)
@@ -89,7 +92,7 @@ class Replay(EdgeNode):
         self._in_flight = InFlight(self, list(self._outputs.values()))
         self._clock_output = publisher(self, CLOCK) if self._play.clock_hz else None
         self.create_service(SetBool, "~/pause", self._pause)
-        self._pace = playback.Pace(self._play.rate) if self._play.rate else None
+        self._pace = playback.Pace(self._play.rate, clock) if self._play.rate else None
         self._is_paused = self._is_started = False
         self._passes = self._published = 0
         self._begun: set[str] = set()

@@ -36,7 +36,7 @@ class Flooded(spin.EdgeNode):
         endpoints.subscribe(self, FLOOD, self.heard.append)
         self._output = endpoints.publisher(self, FLOOD)
         self._sent = []
-        self._deadline = time.monotonic() + 20.0
+        self._deadline = time.monotonic() + nodes.PATIENCE_S
 
     def work(self):
         if len(self._sent) < 10_000:

@@ -3,24 +3,20 @@
 from collections import Counter
 
 import numpy as np
+import pytest
 from helpers import fake_run
 
 from msg_defs import wire
 from multi_robot_slam.nodes.health import Health
 from multi_robot_slam.pipeline.pipeline import FAILED_STEP
 
+nodes = pytest.importorskip("nodes")
+
 STEP = fake_run(steps=1).steps[0]
 
 
-class Clock:
-    now_s = 0.0
-
-    def __call__(self):
-        return self.now_s
-
-
 def health():
-    clock = Clock()
+    clock = nodes.Clock()
     return Health(("robot_1", "robot_2"), 5.0, clock), clock
 
 

@@ -45,9 +45,9 @@ def test_nothing_is_lost_at_full_speed(spawn, tmp_path, end):
     process = spawn(
         *module("multi_robot_slam.nodes.recorder", f"out:={bag}", "robots:=[robot_1,robot_2]")
     )
-    robots.communicate(timeout=30)
+    robots.communicate(timeout=nodes.PATIENCE_S)
     process.send_signal(end)
-    assert process.wait(3) == 0
+    assert process.wait(nodes.PATIENCE_S) == 0
 
     reader = BagReader(bag)
     assert reader.warnings == []
@@ -125,7 +125,7 @@ def test_a_full_disk_ends_the_recording_with_one_line_and_exit_code_1(spawn, tmp
     nodes.wait_for_line(process, "recording robot_1, robot_2")
     resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (most, most))
     spawn(*endless(speed=0.0), stderr=subprocess.DEVNULL)
-    _, said = process.communicate(timeout=20)
+    _, said = process.communicate(timeout=nodes.PATIENCE_S)
     assert process.returncode == 1
     assert said.count("cannot write") == 1
     assert "Traceback" not in said
@@ -141,7 +141,7 @@ def test_existing_folder_is_refused_with_exit_code_2(spawn, tmp_path):
         stderr=subprocess.PIPE,
         text=True,
     )
-    _, said = process.communicate(timeout=20)
+    _, said = process.communicate(timeout=nodes.PATIENCE_S)
     assert process.returncode == 2
     assert said == f"error: {tmp_path} exists already; remove it or name another bag\n"
 
@@ -153,7 +153,7 @@ def test_a_folder_that_cannot_be_made_is_refused_at_once(spawn, tmp_path):
         stderr=subprocess.PIPE,
         text=True,
     )
-    _, said = process.communicate(timeout=20)
+    _, said = process.communicate(timeout=nodes.PATIENCE_S)
     assert process.returncode == 2
     assert said == f"error: cannot write the bag {tmp_path / 'file' / 'bag'}: Not a directory\n"
 

@@ -125,9 +125,11 @@ def test_clock_goes_through_the_recording(bag):
 
 
 def test_pace_follows_the_rate(bag):
-    start_s = time.monotonic()
-    play(bag, "rate:=10.0", listen_to=[])
-    assert 1.0 <= time.monotonic() - start_s < 3.0
+    """10 s of a recording, and no more than one message's wait too late."""
+    for rate in (10.0, 0.5):
+        with nodes.ros(*parameters(bag, f"rate:={rate}", "subscribers:=0")):
+            taken_s = nodes.seconds_taken(replay.Replay)
+        assert taken_s == pytest.approx(10 / rate, abs=0.1)
 
 
 def test_start_sends_what_was_latched_before_and_the_rest_from_there_on(bag):
@@ -217,7 +219,6 @@ def test_the_fusion_starts_over_when_the_recording_does(recorded, tmp_path, foll
         nodes.spin_until(
             lambda: all(len(heard) >= 3 * STEPS for heard in listener.heard.values()),
             *(node, player, listener),
-            timeout_s=60,
         )
     once = live(bag, config)
     for name, topic in zip(ROBOTS, poses, strict=True):
@@ -243,11 +244,11 @@ def spawn_replay(spawn, bag, *given):
     return spawn(*words, stderr=subprocess.PIPE, text=True)
 
 
-def test_interrupt_ends_the_process_within_three_seconds(spawn, bag):
+def test_interrupt_ends_the_process(spawn, bag):
     process = spawn_replay(spawn, bag, "rate:=1.0")
     nodes.wait_for_line(process, "replaying 10.0 s")
     process.send_signal(signal.SIGINT)
-    assert process.wait(3) == 0
+    assert process.wait(nodes.PATIENCE_S) == 0
 
 
 def test_a_recording_that_breaks_off_is_replayed_up_to_there(spawn, bag, tmp_path):
@@ -256,7 +257,7 @@ def test_a_recording_that_breaks_off_is_replayed_up_to_there(spawn, bag, tmp_pat
     cut.write_bytes(file.read_bytes()[: 9 * file.stat().st_size // 10])
     whole, left = (len(list(BagReader(path))) for path in (bag, cut))
     process = spawn_replay(spawn, cut, "everything:=true")
-    _, said = process.communicate(timeout=30)
+    _, said = process.communicate(timeout=nodes.PATIENCE_S)
     assert process.returncode == 0
     assert 10 < left < whole
     assert f"{left} messages over" in said

@@ -4,6 +4,9 @@ from importlib import import_module
 
 import pytest
 
+from msg_defs import scenario_file
+from multi_robot_slam.config import SECTION, Config
+
 pytest.importorskip("rclpy")
 
 NODES = (
@@ -42,3 +45,16 @@ def test_help_names_the_parameters(module, monkeypatch, capfd):
     assert said.startswith("Usage: ")
     assert "--ros-args" in said
     assert "robots" in said
+
+
+@pytest.mark.parametrize("verb", ["fusion", "record", "replay"])
+def test_the_command_passes_help_on_to_the_node(command, verb):
+    code, said, _ = command(verb, "--help")
+    assert code == 0
+    assert said.startswith(f"Usage: multi_robot_slam {verb} [--help]")
+
+
+def test_the_command_prints_a_configuration_that_is_read_back(command):
+    code, said, _ = command("fusion", "--print-config")
+    assert code == 0
+    assert scenario_file.from_yaml(Config, said, SECTION) == Config()
