@@ -3,6 +3,7 @@
 from dataclasses import field
 from typing import Annotated
 
+import numpy as np
 from annotated_types import Ge, Gt
 
 from msg_defs import topics
@@ -66,6 +67,11 @@ class Plausible:
     fastest_rad_s: Annotated[
         float, Gt(0), "fastest turn between two odometry samples [rad/s]; 1.6 turns a second"
     ] = 10.0
+
+    def used(self, count: int) -> np.ndarray:
+        """Rows of the observations that are used of a frame that has `count`."""
+        most = min(count, self.most_observations)
+        return np.arange(most) * count // max(most, 1)
 
 
 @settings

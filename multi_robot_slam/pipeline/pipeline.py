@@ -144,10 +144,9 @@ class Pipeline:
         return steps
 
     def _thinned(self, seen: ObservationSet) -> ObservationSet:
-        most = self.config.plausible.most_observations
-        result = plausibility.thinned(seen, most)
+        result = plausibility.thinned(seen, self.config.plausible)
         if result is not seen:
-            count = len(seen.positions)
+            count, most = len(seen.positions), len(result.positions)
             self.lose(
                 "observations beyond the most of a frame",
                 f"{seen.robot} at {_time(seen.stamp_ns)}: {count} observations, of which {most} "

@@ -27,12 +27,11 @@ def doubt(event: Event, limits: Plausible) -> Doubt | None:
     return _of_points(event, "implausible observations", limits) or _of_descriptors(event, limits)
 
 
-def thinned(seen: ObservationSet, most: int) -> ObservationSet:
-    """At most so many of the observations, evenly spread over the frame."""
-    count = len(seen.positions)
-    if count <= most:
+def thinned(seen: ObservationSet, limits: Plausible) -> ObservationSet:
+    """At most `limits.most_observations` of them, evenly spread over the frame."""
+    if len(seen.positions) <= limits.most_observations:
         return seen
-    rows = np.arange(most) * count // most
+    rows = limits.used(len(seen.positions))
     return replace(
         seen,
         positions=seen.positions[rows],

@@ -125,7 +125,10 @@ def assemble(
         dict(dropped),
         recording.true_landmarks,
         recording.walls,
-        recording.observation_truth,
+        {
+            key: truth[config.plausible.used(len(truth))]
+            for key, truth in recording.observation_truth.items()
+        },
         recording.warnings,
         bag=recording.bag,
         namespace=recording.namespace,

@@ -15,10 +15,11 @@ from msg_defs.types import ObservationSet, PoseSample
 from multi_robot_slam.config import SECTION, Config, Plausible
 from multi_robot_slam.filter import rbpf
 from multi_robot_slam.filter.settings import FilterSettings, RejuvenationSettings
-from multi_robot_slam.pipeline import plausibility
+from multi_robot_slam.pipeline import offline, plausibility
 from multi_robot_slam.pipeline.odometry import MOST_SAMPLES, Odometry
 from multi_robot_slam.pipeline.pipeline import FAILED_STEP, Pipeline
 from multi_robot_slam.pipeline.time_guard import MOST_HELD, TimeGuard
+from multi_robot_slam.runs import evaluation
 from sim_world.scenario import Scenario
 from sim_world.simulator import Simulation
 
@@ -191,7 +192,9 @@ def test_a_wild_sample_at_the_very_end_is_counted():
 @given(st.integers(1, 3000), st.integers(1, 1000))
 def test_thinning_keeps_as_many_as_allowed_evenly(count, most):
     rows = np.arange(count, dtype=np.float32)[:, None]
-    thin = plausibility.thinned(ObservationSet("a", 0, rows, rows, rows), most)
+    thin = plausibility.thinned(
+        ObservationSet("a", 0, rows, rows, rows), Plausible(most_observations=most)
+    )
     kept = thin.positions[:, 0]
     assert len(kept) == min(count, most)
     assert kept[0] == 0
@@ -208,6 +211,14 @@ def test_a_dense_cloud_is_thinned_counted_and_told():
     assert pipeline.dropped == {reason: sum(n - 5 for n in seen if n > 5)}
     assert "8 observations, of which 5" in told[0]
     assert "plausible.most_observations" in told[0]
+
+
+def test_a_run_of_dense_clouds_is_judged_by_what_was_used(tmp_path):
+    _, config = recordings.record(tmp_path / "bag", particles=10)
+    config = replace(config, plausible=replace(config.plausible, most_observations=3))
+    run = offline.estimate(tmp_path / "bag", config, lambda text: None)
+    assert {len(truth) for truth in run.observation_truth.values()} <= {0, 1, 2, 3}
+    assert evaluation.evaluate(run)["association_precision"] > 0.9
 
 
 def later(events, robot, since, by_s):
