@@ -149,11 +149,11 @@ def configuration(
 
     But for `REJUVENATION` and the gate the settings are the filter's defaults. No truth goes into
     the gate; that it is taken instead of the default was decided after both had been compared with
-    the truth of two recordings (docs/results.md). It is the default widened (`joining.widened_gate`): with 99 %
-    probability not one of all `observations` is refused, where the default refuses one right match
-    in a hundred. The default must tell landmarks apart that look alike; here the identities are
-    read, so a wide gate admits nothing but the right landmark, while each right match refused makes
-    a duplicate beside it.
+    the truth of two recordings (docs/results.md). It is the default widened
+    (`joining.widened_gate`): with 99 % probability not one of all `observations` is refused, where
+    the default refuses one right match in a hundred. The default must tell landmarks apart that
+    look alike; here the identities are read, so a wide gate admits nothing but the right landmark,
+    while each right match refused makes a duplicate beside it.
     """
     starts = [at(log.truth, np.array([first_ns]))[0] for log in recording.robots.values()]
     return Config(
