@@ -16,7 +16,7 @@ demo: $(VENV)/installed ## robots, fusion and recorder as processes, then the re
 	$(VENV)/bin/multi_robot_slam demo
 
 figures: $(VENV)/installed ## the paper's experiments into runs/figures, 20 repeats; goes on if interrupted
-	$(VENV)/bin/multi_robot_slam experiment all --repeats 20 --out runs/figures
+	$(VENV)/bin/multi_robot_slam study experiment all --repeats 20 --out runs/figures
 
 test: $(VENV)/installed ## the tests
 	$(VENV)/bin/python -m pytest

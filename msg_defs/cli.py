@@ -2,11 +2,33 @@
 
 import sys
 from collections.abc import Callable
-from importlib import import_module
+from importlib import import_module, metadata
 from importlib.util import find_spec
-from typing import NoReturn
+from typing import Annotated, NoReturn
+
+import typer
 
 from msg_defs.errors import InputError
+
+DISTRIBUTION = "multi_robot_slam"
+"""What pip calls the two packages together."""
+PASS_ON = {"allow_extra_args": True, "ignore_unknown_options": True}
+"""Settings of a verb whose arguments, `--help` included, are a node's to read."""
+
+
+def _tell_version(is_wanted: bool) -> None:
+    if is_wanted:
+        typer.echo(f"{DISTRIBUTION} {metadata.version(DISTRIBUTION)}")
+        raise typer.Exit
+
+
+def options(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_tell_version, is_eager=True, help="Print the version."),
+    ] = False,
+) -> None:
+    """Options of the command itself, before any verb."""
 
 
 def run(app: Callable[[], object]) -> None:

@@ -57,14 +57,17 @@ def from_yaml(cls: type[Settings], text: str, section: str, source: str = "YAML"
     return from_mapping(cls, sections(text, source)[section], f"{source}: {section}")
 
 
+def shipped() -> dict[str, Path]:
+    """The scenario files that ship, by name."""
+    return {path.stem: path for path in sorted((Path(__file__).parent / "config").glob("*.yaml"))}
+
+
 def find_scenario(name: str) -> Path:
     """The scenario file at the path `name`, or the one of that name that ships: `paper`, ..."""
-    shipped = {
-        path.stem: path for path in sorted((Path(__file__).parent / "config").glob("*.yaml"))
-    }
-    path = shipped.get(name, Path(name))
+    known = shipped()
+    path = known.get(name, Path(name))
     if not path.is_file():
-        raise InputError(f"no scenario '{name}': name a YAML file, or {' or '.join(shipped)}")
+        raise InputError(f"no scenario '{name}': name a YAML file, or {' or '.join(known)}")
     return path
 
 

@@ -5,7 +5,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from multi_robot_slam.studies import experiment_table, experiments, scheduling
+from multi_robot_slam.studies import experiment_grid, experiment_table, experiments, scheduling
 
 JOB_S = 0.2
 """At least so long takes a job of the command."""
@@ -13,13 +13,13 @@ JOB_S = 0.2
 
 def base():
     """The paper's settings, but 30 movements for the whole exploration."""
-    paper = experiments.paper()
+    paper = experiment_grid.paper()
     return replace(paper, scenario=replace(paper.scenario, movements=30))
 
 
 def wanted(seeds=range(4)):
-    grid = experiments.Grid(particles=(1, 5), observations=(0, 5))
-    return experiments.plan(("fig5",), grid, seeds, base())
+    grid = experiment_grid.Grid(particles=(1, 5), observations=(0, 5))
+    return experiment_grid.plan(("fig5",), grid, seeds, base())
 
 
 def serially(function, jobs):
@@ -28,9 +28,9 @@ def serially(function, jobs):
 
 def untimed(path):
     """The table at `path` with its timing blanked."""
-    rows = experiment_table.read(path)
+    rows = experiment_table.opened(path).rows
     return [
-        experiment_table.to_line(*key, row | {experiment_table.TIMING: None})
+        experiment_table.to_line(key, row | {experiment_table.TIMING: None})
         for key, row in rows.items()
     ]
 

@@ -2,5 +2,4 @@
 
 from multi_robot_slam.cli.main import main
 
-if __name__ == "__main__":
-    main()
+main()

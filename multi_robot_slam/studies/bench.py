@@ -1,120 +1,32 @@
-"""`multi_robot_slam bench`: how fast the filter is, and how fast this machine would let it be.
+"""`multi_robot_slam study bench`: how fast the filter is, and how fast it could be on this machine.
 
 Everything is measured in a process of its own, whose libraries are told by environment variables
-to use one thread, with the filter's `threads` at 1. What is compared takes turns, step by step.
+to use one thread, with the filter's `threads` at 1.
 Time is processor time, which on an idle machine is the time that passes, and on a shared one leaves
 out what others run; only `first_step_s`, which also waits for files, is time that passes.
-A figure is the median over steps; its spread goes from their 10 % to their 90 % quantile.
 """
 
-import gc
 import json
 import os
 import subprocess
 import sys
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, replace
 
-import numpy as np
 from rich import box
 from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from multi_robot_slam.filter import informed_kernels, kernels
-from multi_robot_slam.filter.history import PRUNE_EVERY
-from multi_robot_slam.studies import machine, rivals
-from multi_robot_slam.studies.session import Clock, Session, take_turns
-
-ONE_THREAD = {
-    "OMP_NUM_THREADS": "1",
-    "OPENBLAS_NUM_THREADS": "1",
-    "MKL_NUM_THREADS": "1",
-    "NUMBA_NUM_THREADS": "1",
-}
-
-TARGETS = {
-    "particle_observation_ns_motion": ("ns", "<=", 30.0),
-    "particle_observation_ns_informed": ("ns", "<=", 90.0),
-    "step_ms_m2000_k3": ("ms", "<=", 5.0),
-    "resample_share_m2000_k3": ("share", "<=", 0.25),
-    "map_growth_ratio": ("times", "<=", 1.2),
-    "speedup_over_literal": ("times", ">=", 1000.0),
-    "speedup_over_textbook": ("times", ">=", 3000.0),
-    "step_ms_m100_k1": ("ms", "<=", 0.5),
-    "state_mb_m2000_n1000": ("MB", "<=", 150.0),
-    "first_step_s": ("s", "<=", 2.0),
-}
-"""Name of each row -> unit, direction, target."""
-
-WORD = 4
-"""Bytes of a float32 or int32."""
-
-OUTCOME = 3 * WORD
-"""Match, D (18) and |Z| (16)."""
-
-BYTES = {
-    # planes read and written; outcome written, and read to weigh it and name the match
-    "motion": (2 * kernels.PLANES * WORD) + 2 * OUTCOME,
-    # planes also read to match; outcome also read to update
-    "informed": (3 * kernels.PLANES * WORD) + 3 * OUTCOME,
-}
-"""What a particle-observation has to move; what belongs to the particle alone is not counted."""
-
-GATHER_BYTES = 2 * kernels.PLANES * WORD
-"""The same for the lazy copy after resampling: planes read and written."""
-
-KERNELS = {"motion": (kernels.update,), "informed": (informed_kernels.believe, kernels.update)}
-"""Loops that every particle-observation goes through; their operations are counted."""
-
-BARE_IMPORT = "import numpy, numba"
-FIRST_STEP = """
-from multi_robot_slam.config import Config
-from multi_robot_slam.pipeline import Pipeline
-Pipeline(Config()).warm_up()
-"""
+from multi_robot_slam.studies import rivals
+from multi_robot_slam.studies.bench_limits import QUICK, Sizes
+from multi_robot_slam.studies.bench_rows import ONE_THREAD, TARGETS, Row, measure
 
 
-@dataclass(frozen=True)
-class Sizes:
-    """What is measured; the names of the rows stand for the defaults."""
-
-    particles: int = 2000
-    few_particles: int = 100
-    textbook_particles: int = 5
-    robots: int = 3
-    observations: int = 15
-    landmarks: int = 700
-    small_map: int = 500
-    large_map: int = 10_000
-    memory_map: int = 1000
-    literal_map: int = 100
-    """Its step takes time in proportion; a larger map would flatter the ratio."""
-    steps: int = 100
-    rounds: int = 3
-    """Steps of the rivals, and fresh processes."""
-
-
-QUICK = Sizes(steps=40, rounds=1)
-
-
-@dataclass(frozen=True)
-class Row:
-    """One figure. `limit` is what the rates of this machine would allow, in the same unit."""
-
-    name: str
-    value: float
-    unit: str
-    target: float
-    limit: float
-    spread: tuple[float, float]
-    met: bool
-    note: str
-
-
-def run(quick: bool) -> list[Row]:
+def run(quick: bool, seed: int = 0) -> list[Row]:
     """Measure in a fresh process of one thread."""
     rivals.check_literal()
-    command = [sys.executable, "-m", "multi_robot_slam.studies.bench", *["--quick"] * quick]
+    sizes = replace(QUICK if quick else Sizes(), seed=seed)
+    command = [sys.executable, "-m", __name__, json.dumps(asdict(sizes))]
     done = subprocess.run(command, env=os.environ | ONE_THREAD, stdout=subprocess.PIPE, check=True)
     return [Row(**values) for values in json.loads(done.stdout)]
 
@@ -143,200 +55,5 @@ def report(rows: list[Row]) -> Group:
     return Group(table, Text("\n".join(notes)))
 
 
-def measure(sizes: Sizes) -> list[Row]:
-    """All rows, in the order of TARGETS, measured in this process."""
-    limits = Limits(sizes)
-    teams = {
-        proposal: Session(
-            sizes.landmarks, sizes.robots, sizes.particles, sizes.observations, proposal
-        )
-        for proposal in BYTES
-    }
-    clocks = take_turns(teams, sizes.steps)
-    rows = [particle_observation(sizes, limits, p, clocks[p], teams[p]) for p in BYTES]
-    rows += [whole_step(sizes, limits, clocks), resample_share(sizes, limits, clocks)]
-    rows += [speedup_over_textbook(sizes, limits, teams["motion"])]
-    rows += [state_size(sizes, teams["informed"])]
-    del teams
-    gc.collect()
-    rows += [map_growth(sizes), single_robot(sizes, limits), speedup_over_literal(sizes, limits)]
-    rows += [first_step(sizes)]
-    return sorted(rows, key=lambda row: list(TARGETS).index(row.name))
-
-
-class Limits:
-    """Least time of a particle-observation [ns]: moving its bytes or its arithmetic, the longer."""
-
-    def __init__(self, sizes: Sizes):
-        touched = sizes.robots * sizes.observations * kernels.PLANES * WORD * sizes.particles
-        self.rates = machine.measure(working_set=touched)
-        self.operations = {p: sum(map(machine.operations, KERNELS[p])) for p in KERNELS}
-        self.gather = GATHER_BYTES * self.rates.ns_per_byte
-
-    def proposal(self, proposal: str) -> float:
-        """Predict, associate, update and weigh."""
-        return max(
-            BYTES[proposal] * self.rates.ns_per_byte,
-            self.operations[proposal] * self.rates.ns_per_operation,
-        )
-
-    def step(self, proposal: str) -> float:
-        """The same and the lazy copy."""
-        return self.proposal(proposal) + self.gather
-
-    def explain(self, proposal: str) -> str:
-        """What the limit of a proposal is made of."""
-        return (
-            f"{BYTES[proposal]} bytes at {1 / self.rates.ns_per_byte:.0f} GB/s, "
-            f"{self.operations[proposal]} operations at "
-            f"{1 / self.rates.ns_per_operation:.0f} GFLOP/s"
-        )
-
-
-def particle_observation(
-    sizes: Sizes, limits: Limits, proposal: str, clocks: list[Clock], session: Session
-) -> Row:
-    """Predict, associate, update and weigh; the lazy copies belong to resampling."""
-    values = _per_particle_observation(sizes, clocks)
-    note = (
-        f"{limits.explain(proposal)}; {session.size()} landmarks, "
-        f"{100 * session.right_share():.1f} % of the matches right"
-    )
-    return _row(f"particle_observation_ns_{proposal}", values, limits.proposal(proposal), note)
-
-
-def _per_particle_observation(sizes: Sizes, clocks: list[Clock]) -> list[float]:
-    scale = 1e9 / (sizes.particles * sizes.robots * sizes.observations)
-    return [scale * (clock.proposal - clock.gather) for clock in clocks]
-
-
-def whole_step(sizes: Sizes, limits: Limits, clocks: dict[str, list[Clock]]) -> Row:
-    """The step of the slower proposal."""
-    values = {p: [1e3 * clock.step for clock in clocks[p]] for p in clocks}
-    slower, note = _worst(values)
-    count = sizes.particles * sizes.robots * sizes.observations
-    return _row("step_ms_m2000_k3", values[slower], 1e-6 * count * limits.step(slower), note)
-
-
-def resample_share(sizes: Sizes, limits: Limits, clocks: dict[str, list[Clock]]) -> Row:
-    """Everything outside the proposal, and the lazy copies in it; the larger of both proposals."""
-    values = {p: [1 - (c.proposal - c.gather) / c.step for c in clocks[p]] for p in clocks}
-    larger, note = _worst(values)
-    rest = np.median(_per_particle_observation(sizes, clocks[larger]))
-    limit = limits.gather / (limits.gather + rest)
-    note += f"; limit: {GATHER_BYTES} bytes copied, the rest of the step as it is"
-    return _row("resample_share_m2000_k3", values[larger], limit, note)
-
-
-def map_growth(sizes: Sizes) -> Row:
-    """The same step with a large map and with a small one."""
-    sessions = {
-        size: Session(size, sizes.robots, sizes.particles, sizes.observations, "informed")
-        for size in (sizes.large_map, sizes.small_map)
-    }
-    clocks = take_turns(sessions, sizes.steps)
-    large, small = ([1e3 * clock.step for clock in clocks[size]] for size in sessions)
-    note = "; ".join(
-        f"{session.size()} landmarks {np.median(times):.2f} ms"
-        for session, times in zip(sessions.values(), (large, small), strict=True)
-    )
-    return _row("map_growth_ratio", np.divide(large, small), 1.0, note)
-
-
-def speedup_over_literal(sizes: Sizes, limits: Limits) -> Row:
-    """Whole steps of one robot with few particles."""
-    session = Session(sizes.literal_map, 1, sizes.few_particles, sizes.observations, "motion")
-    result = rivals.against_literal(session, sizes.rounds)
-    least = 1e-9 * sizes.few_particles * sizes.observations * limits.step("motion")
-    note = (
-        f"{session.size()} landmarks: {np.median(result.rival):.2f} s against "
-        f"{1e3 * np.median(result.fast):.2f} ms; {100 * result.same:.1f} % of the matches equal"
-    )
-    return _speedup("speedup_over_literal", result, least, note)
-
-
-def speedup_over_textbook(sizes: Sizes, limits: Limits, session: Session) -> Row:
-    """Predict, associate, update and weigh, per particle-observation."""
-    result = rivals.against_textbook(session, sizes.textbook_particles, sizes.rounds)
-    note = (
-        f"{session.size()} landmarks: {1e6 * np.median(result.rival):.0f} us against "
-        f"{1e9 * np.median(result.fast):.0f} ns; {100 * result.same:.1f} % of the matches equal"
-    )
-    return _speedup("speedup_over_textbook", result, 1e-9 * limits.proposal("motion"), note)
-
-
-def single_robot(sizes: Sizes, limits: Limits) -> Row:
-    """One robot, few particles: what lies outside the kernels shows; the slower proposal."""
-    sessions = {
-        p: Session(sizes.landmarks, 1, sizes.few_particles, sizes.observations, p) for p in BYTES
-    }
-    clocks = take_turns(sessions, sizes.steps)
-    values = {p: [1e3 * clock.step for clock in clocks[p]] for p in clocks}
-    slower, note = _worst(values)
-    limit = 1e-6 * sizes.few_particles * sizes.observations * limits.step(slower)
-    return _row("step_ms_m100_k1", values[slower], limit, note)
-
-
-def state_size(sizes: Sizes, session: Session) -> Row:
-    """Bytes set aside for all arrays of the state, written to or not, while history grows."""
-    session.survey(sizes.memory_map)
-    values = []
-    for _ in range(PRUNE_EVERY):
-        session.step()
-        values.append(1e-6 * bytes_of(session.state, set()))
-    limit = 1e-6 * sizes.memory_map * kernels.PLANES * WORD * sizes.particles
-    note = f"most of {PRUNE_EVERY} steps; {session.size()} landmarks; limit: their planes alone"
-    return _row("state_mb_m2000_n1000", values, limit, note, value=max(values))
-
-
-def bytes_of(thing: object, counted: set[int]) -> int:
-    """Bytes of all arrays reached from `thing`, each buffer once."""
-    while isinstance(thing, np.ndarray) and isinstance(thing.base, np.ndarray):
-        thing = thing.base
-    if id(thing) in counted:
-        return 0
-    counted.add(id(thing))
-    if isinstance(thing, np.ndarray):
-        return thing.nbytes
-    parts = thing if isinstance(thing, list | tuple) else getattr(thing, "__dict__", {}).values()
-    return sum(bytes_of(part, counted) for part in parts)
-
-
-def first_step(sizes: Sizes) -> Row:
-    """From import to first step in fresh processes; the compiler's cache is warm."""
-    _time_in_fresh_process(FIRST_STEP)
-    values, bare = [], []
-    for _ in range(sizes.rounds):
-        values.append(_time_in_fresh_process(FIRST_STEP))
-        bare.append(_time_in_fresh_process(BARE_IMPORT))
-    return _row("first_step_s", values, float(np.median(bare)), f"limit: {BARE_IMPORT}")
-
-
-def _time_in_fresh_process(code: str) -> float:
-    timed = f"import time\nstart = time.perf_counter()\n{code}\nprint(time.perf_counter() - start)"
-    command = [sys.executable, "-c", timed]
-    done = subprocess.run(command, env=os.environ | ONE_THREAD, stdout=subprocess.PIPE, check=True)
-    return float(done.stdout)
-
-
-def _worst(values: dict[str, list[float]]) -> tuple[str, str]:
-    medians = {proposal: np.median(values[proposal]) for proposal in values}
-    note = ", ".join(f"{proposal} {median:.3g}" for proposal, median in medians.items())
-    return max(medians, key=medians.get), note
-
-
-def _speedup(name: str, result: rivals.Comparison, least_s: float, note: str) -> Row:
-    limit = float(np.median(result.rival) / least_s)
-    return _row(name, np.divide(result.rival, result.fast), limit, note)
-
-
-def _row(name: str, values, limit: float, note: str, value: float | None = None) -> Row:
-    unit, direction, target = TARGETS[name]
-    value = float(np.median(values) if value is None else value)
-    met = value <= target if direction == "<=" else value >= target
-    low, high = np.quantile(values, [0.1, 0.9])
-    return Row(name, value, unit, target, float(limit), (float(low), float(high)), met, note)
-
-
 if __name__ == "__main__":
-    print(to_json(measure(QUICK if "--quick" in sys.argv else Sizes())))
+    print(to_json(measure(Sizes(**json.loads(sys.argv[1])))))

@@ -3,9 +3,10 @@
 from pathlib import Path
 
 from multi_robot_slam.report import plots
-from multi_robot_slam.studies import experiments, figures, statements
+from multi_robot_slam.studies import exploration, figures, statements
+from multi_robot_slam.studies.experiment_grid import SINGLE_RUNS
 from multi_robot_slam.studies.experiment_table import Rows, Trial
-from multi_robot_slam.studies.experiments import SINGLE_RUNS, Base
+from multi_robot_slam.studies.exploration import Base
 
 
 def write(rows: Rows, base: Base, folder: Path) -> list[Path]:
@@ -23,13 +24,13 @@ def write(rows: Rows, base: Base, folder: Path) -> list[Path]:
 
 def _draw_run(name: str, base: Base, trial: Trial, folder: Path) -> list[Path]:
     """Draw figure 3 or 4 from its run, which is done again."""
-    exploration = experiments.explore(base, trial)
-    run, pipeline = experiments.estimate(exploration, experiments.filter_of(base, trial))
+    explored = exploration.explore(base, trial)
+    run, pipeline = exploration.estimate(explored, exploration.filter_of(base, trial))
     if name == "fig4":
         sheets = {"fig4": plots.error_figure(run)}
     else:
-        halfway = exploration.instants[len(exploration.instants) // 2]
-        mount = exploration.scenario.camera.mount
+        halfway = explored.instants[len(explored.instants) // 2]
+        mount = explored.scenario.camera.mount
         views = [figures.view(r.truth.pose, r.observations, mount) for r in halfway]
         particles = {robot: pipeline.particles(robot) for robot in run.robots}
         sheets = {

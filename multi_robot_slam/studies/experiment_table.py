@@ -1,15 +1,12 @@
-"""The table of an experiment: one row a run, in a CSV file that survives being interrupted.
+"""The table of the paper's experiments, `table.csv`: one row a figure and run."""
 
-Rows are appended as runs finish; a row is whole when its line ends. The finished table is sorted,
-so it does not depend on the order in which the runs ended.
-"""
-
-import os
 from collections.abc import Mapping
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
+from typing import get_type_hints
 
 from msg_defs.errors import InputError
+from multi_robot_slam.studies import table
 
 
 @dataclass(frozen=True, order=True)
@@ -27,11 +24,13 @@ class Trial:
     seed: int
 
 
+Key = tuple[str, Trial]
+"""Figure and run. A run that several figures need has a row in each."""
+
 Result = dict[str, float | None]
 """The measured columns of a run, None where there is nothing to measure."""
 
-Rows = dict[tuple[str, Trial], Result]
-"""(figure, run) -> result. A run that several figures need has a row in each."""
+Rows = dict[Key, Result]
 
 RESULTS = (
     *("path_rmse_m", "heading_rmse_rad", "map_rmse_m", "odometry_path_rmse_m"),
@@ -40,70 +39,26 @@ RESULTS = (
 )
 TIMING = "step_ms_mean"
 """The one column that differs when a run is repeated."""
-COLUMNS = ("figure", *(field.name for field in fields(Trial)), *RESULTS)
-HEADER = ",".join(COLUMNS)
+TRIAL = tuple(field.name for field in fields(Trial))
+COLUMNS = ("figure", *TRIAL, *RESULTS)
+TYPES = (str, *(get_type_hints(Trial)[name] for name in TRIAL), *[float] * len(RESULTS))
 
 
-def to_line(figure: str, trial: Trial, result: Mapping[str, float | None]) -> str:
-    """A row as CSV, numbers with six digits."""
-    return ",".join([figure, *map(_cell, astuple(trial)), *(_cell(result[n]) for n in RESULTS)])
+def to_line(key: Key, result: Mapping[str, float | None]) -> str:
+    """A row as CSV."""
+    figure, trial = key
+    return table.line([figure, *astuple(trial), *(result[name] for name in RESULTS)])
 
 
-def from_line(line: str) -> tuple[str, Trial, Result]:
+def from_line(text: str) -> tuple[Key, Result]:
     """The inverse of `to_line`; `InputError` names the cell that does not fit."""
-    cells = dict(zip(COLUMNS, line.strip().split(","), strict=False))
-    if len(cells) < len(COLUMNS) or line.count(",") >= len(COLUMNS):
-        raise InputError(f"not a row of table.csv: '{line.strip()}'; its columns are {HEADER}")
-    trial = Trial(*(_parse(f.type, f.name, cells[f.name]) for f in fields(Trial)))
-    results = {n: _parse(float, n, cells[n]) if cells[n] else None for n in RESULTS}
-    return cells["figure"], trial, results
+    figure, *cells = table.cells(text, COLUMNS, TYPES)
+    of_trial, results = cells[: len(TRIAL)], cells[len(TRIAL) :]
+    if figure is None or None in of_trial:
+        raise InputError(f"a cell that names the run is empty in '{text.strip()}'")
+    return (figure, Trial(*of_trial)), dict(zip(RESULTS, results, strict=True))
 
 
-def read(path: Path) -> Rows:
-    """The rows of the table at `path`, none if it does not exist.
-
-    A last line that was cut off is left out.
-    """
-    try:
-        text = path.read_text()
-    except FileNotFoundError:
-        return {}
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot read {path}: {error}") from None
-    header, *lines = text.split("\n")[:-1] or [HEADER]
-    if header != HEADER:
-        raise InputError(f"{path} has other columns than this version writes; use another --out")
-    rows = {}
-    for line in lines:
-        figure, trial, result = from_line(line)
-        rows[figure, trial] = result
-    return rows
-
-
-def append(path: Path, rows: Rows) -> None:
-    """Add `rows` to the table at `path`, at once and for good."""
-    with path.open("a") as file:
-        file.writelines(f"{to_line(*key, result)}\n" for key, result in rows.items())
-        file.flush()
-        os.fsync(file.fileno())
-
-
-def write(path: Path, rows: Rows) -> None:
-    """Write the whole table, sorted, in place of the old one."""
-    lines = [HEADER, *(to_line(*key, rows[key]) for key in sorted(rows))]
-    new = path.with_suffix(".new")
-    new.write_text("\n".join(lines) + "\n")
-    os.replace(new, path)
-
-
-def _cell(value: float | str | None) -> str:
-    if value is None:
-        return ""
-    return value if isinstance(value, str) else f"{value:.6g}"
-
-
-def _parse(kind: type, name: str, text: str) -> float | int | str:
-    try:
-        return kind(text)
-    except ValueError:
-        raise InputError(f"{name} = '{text}' is no number; give a row of table.csv") from None
+def opened(path: Path) -> table.Table[Key, Result]:
+    """The table at `path`."""
+    return table.Table(path, table.Format(",".join(COLUMNS), to_line, from_line))

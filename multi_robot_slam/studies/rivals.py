@@ -2,6 +2,7 @@
 
 import copy
 import importlib.util
+from collections.abc import Iterable
 from pathlib import Path
 from time import process_time
 from typing import NamedTuple
@@ -35,7 +36,7 @@ def check_literal() -> None:
         raise InputError(f"no {LITERAL} to compare with; run bench from a source checkout")
 
 
-def against_literal(session: Session, rounds: int) -> Comparison:
+def against_literal(session: Session, seeds: Iterable[int]) -> Comparison:
     """Whole steps against the literal Algorithm 1, both from the same particles each round."""
     literal = _load_literal()
     settings = session.settings
@@ -46,7 +47,7 @@ def against_literal(session: Session, rounds: int) -> Comparison:
         tuple(vars(settings.motion).values())[:4],
     )
     rival, fast, same = [], [], []
-    for seed in range(rounds):
+    for seed in seeds:
         S = _literal_copies(literal, session.state)
         frames = session.world.drive(SPEED)
         rng = np.random.default_rng(seed)
@@ -71,13 +72,13 @@ def against_literal(session: Session, rounds: int) -> Comparison:
     return Comparison(rival, fast, require(np.mean(same), "matches like the literal algorithm's"))
 
 
-def against_textbook(session: Session, particles: int, rounds: int) -> Comparison:
+def against_textbook(session: Session, particles: int, seeds: Iterable[int]) -> Comparison:
     """Predict, associate, update and weigh against `textbook`: seconds per particle-observation.
 
     The textbook runs with copies of the first few particles, the filter with all.
     """
     rival, fast, same = [], [], []
-    for seed in range(rounds):
+    for seed in seeds:
         times = [session.step() for _ in range(FAST_STEPS - 1)]
         few, ids = _textbook_copies(session.state, particles)
         frames = session.world.drive(SPEED)

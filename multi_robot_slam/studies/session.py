@@ -41,15 +41,21 @@ class Session:
     """
 
     def __init__(
-        self, landmarks: int, robots: int, particles: int, observations: int, proposal: str
-    ):
+        self,
+        landmarks: int,
+        robots: int,
+        particles: int,
+        observations: int,
+        proposal: str,
+        seed: int = 0,
+    ) -> None:
         self.settings = FilterSettings(
             particles=particles, resample_below=1.0, threads=1, rejuvenation=NO_REJUVENATION
         )
         ring = 2 * landmarks + 1000
-        self.world = World(ring, robots, self.settings.motion, observations, seed=0)
+        self.world = World(ring, robots, self.settings.motion, observations, seed)
         self.state = rbpf.init(self.world.poses(), self.settings)
-        self._rng = np.random.default_rng(0)
+        self._rng = np.random.default_rng(seed)
         self._origins = np.zeros(0, int)
         self._right: list[float] = []
         self.survey(landmarks - LAST)

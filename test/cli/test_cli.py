@@ -2,12 +2,14 @@
 
 import json
 import sys
+from importlib import metadata
 
 import pytest
 import recordings
 
 from msg_defs import scenario_file, topics, wire
 from multi_robot_slam.bags import BagReader, BagWriter
+from multi_robot_slam.cli import main
 from multi_robot_slam.config import SECTION, Config
 
 
@@ -88,11 +90,40 @@ def test_run_takes_particles_seed_and_scenario(command, bag, tmp_path):
     scenario = tmp_path / "given.yaml"
     scenario.write_text("multi_robot_slam: {filter: {gate: 9.0, particles: 4}}")
     out = tmp_path / "out"
-    words = ("--scenario", scenario, "--particles", "7", "--seed", "3")
+    words = ("--scenario", scenario, "--particles", "7", "--set", "seed=3")
     assert command("run", bag, "--out", out, *words)[0] == 0
     config = scenario_file.from_file(Config, out / "config.yaml", SECTION)
     assert (config.filter.gate, config.filter.particles, config.seed) == (9.0, 7, 3)
     assert config.robots == ("robot_1", "robot_2")
+
+
+def test_version_is_that_of_the_package(command):
+    code, told, _ = command("--version")
+    assert (code, told) == (0, f"multi_robot_slam {metadata.version('multi_robot_slam')}\n")
+
+
+def completed(monkeypatch, capfd, *words):
+    """What a shell would offer for the last of the words."""
+    monkeypatch.setenv("_MULTI_ROBOT_SLAM_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", " ".join(("multi_robot_slam", *words)))
+    monkeypatch.setenv("COMP_CWORD", str(len(words)))
+    with pytest.raises(SystemExit):
+        main.app(prog_name="multi_robot_slam")
+    return capfd.readouterr().out.split()
+
+
+def test_the_shell_completes_verbs_and_values(monkeypatch, capfd, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "runs" / "first").mkdir(parents=True)
+    (tmp_path / "mine.yaml").touch()
+    for words, offered in (
+        (("ev",), ["evaluate"]),
+        (("study", ""), ["experiment", "accuracy", "real", "bench"]),
+        (("demo", "--scenario", ""), ["calibrated", "paper", "mine.yaml"]),
+        (("evaluate", ""), ["runs/first"]),
+        (("run", "bag", "--set", "reord"), ["reorder_window_s="]),
+    ):
+        assert completed(monkeypatch, capfd, *words) == offered
 
 
 def test_the_same_bag_gives_the_same_figures(command, bag, tmp_path):
@@ -136,7 +167,9 @@ ROBOTS = ("robot_1", "robot_2")
         (("run", "{tmp}"), "no .mcap file"),
         (("run", "{bag}", "--scenario", "nowhere"), "no scenario 'nowhere'"),
         (("run", "{bag}", "--scenario", "{tmp}/noise.yaml"), "no text file"),
-        (("run", "{bag}", "--scenario", "{tmp}/alone.yaml"), "1 poses for 2 robots"),
+        (("run", "{bag}", "--scenario", "{tmp}/others.yaml"), "none of a, b"),
+        (("run", "{bag}", "--set", "filter.particels=9"), "similar are filter.particles"),
+        (("run", "{bag}", "--set", "seed=1", "--seed", "2"), "given twice"),
         (("run", "{bag}", "--scenario", "{tmp}/twice.yaml"), "name each robot of the team once"),
         (("evaluate", "{bag}"), "holds no estimates"),
         (("evaluate", "{tmp}/nowhere"), "no run"),
@@ -147,8 +180,8 @@ ROBOTS = ("robot_1", "robot_2")
 )
 def test_bad_input_is_one_line_and_exit_code_2(command, bag, tmp_path, words, told):
     (tmp_path / "noise.yaml").write_bytes(b"\xff\xfe\x00\x9d")
-    (tmp_path / "alone.yaml").write_text("multi_robot_slam: {robots: [a, b]}")
-    (tmp_path / "twice.yaml").write_text("multi_robot_slam: {robots: [a, a]}")
+    (tmp_path / "others.yaml").write_text("multi_robot_slam: {robots: [a, b]}")
+    (tmp_path / "twice.yaml").write_text("multi_robot_slam: {robots: [robot_1, robot_1]}")
     filled = [word.format(bag=bag, tmp=tmp_path) for word in words]
     assert told in refused(command(*filled))
 

@@ -12,7 +12,7 @@ import pytest
 
 from msg_defs import scenario_file, topics, wire
 from multi_robot_slam.bags import BagReader
-from multi_robot_slam.cli import demo
+from multi_robot_slam.cli import processes
 from multi_robot_slam.config import SECTION, Config
 from sim_world.scenario import SECTION as WORLD_SECTION
 from sim_world.scenario import Scenario
@@ -159,7 +159,7 @@ def test_bad_scenario_is_one_line_and_leaves_nothing(tmp_path, scenario, told, c
 def test_configuration_is_whole_and_tells_both_sides_of_one_team(tmp_path):
     given = tmp_path / "given.yaml"
     given.write_text(f"sim_world: {SMALL}")
-    text = demo.configure(str(given), robots=2, seed=5)
+    text = processes.configure(str(given), robots=2, seed=5)
     world = scenario_file.from_yaml(Scenario, text, WORLD_SECTION)
     config = scenario_file.from_yaml(Config, text, SECTION)
     assert config.robots == world.names == ("robot_1", "robot_2")

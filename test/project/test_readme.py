@@ -18,9 +18,9 @@ ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
 QUICK = {("multi_robot_slam", verb) for verb in ("run", "evaluate", "compare", "report", "export")}
 QUICK |= {("sim_world", "team"), ("sim_world", "descriptors")}
-SLOW = {("multi_robot_slam", verb) for verb in ("demo", "experiment", "bench", "accuracy")}
-RECORDED = {("multi_robot_slam", verb) for verb in ("convert", "real")}
-"""Their argument is a recording that the README does not bring."""
+LONG = {("multi_robot_slam", verb) for verb in ("demo", "study", "convert")}
+"""They take minutes, or a recording that the README does not bring: only their help is asked."""
+GROUPS = ("study", "convert")
 
 
 def blocks(language):
@@ -74,9 +74,9 @@ def test_every_command_works_as_shown(folder, ros_domain_id):
             subprocess.run(["make", "-n", verb], cwd=ROOT, check=True, capture_output=True)
         elif (program, verb) in QUICK:
             run([program, *arguments])
-        elif (program, verb) in SLOW | RECORDED:
+        elif (program, verb) in LONG:
             options = [word for word in arguments if word.startswith("--")]
-            named = arguments[: 2 if verb == "convert" else 1]
+            named = arguments[: 2 if verb in GROUPS else 1]
             told = subprocess.check_output(
                 [sys.executable, "-m", f"{program}.cli", *named, "--help"], text=True
             )

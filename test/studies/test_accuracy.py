@@ -9,10 +9,11 @@ import pytest
 
 from msg_defs.errors import InputError
 from msg_defs.types import Trajectory
-from multi_robot_slam.studies import accuracy
+from multi_robot_slam.studies import accuracy, accuracy_table
 from multi_robot_slam.studies.accuracy import Job, Row
 
 PARTICLES = {"motion": (20,), "informed": (20,)}
+SEEDS = range(1)
 
 
 def here(function, jobs):
@@ -35,7 +36,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def rows(base, folder):
-    return accuracy.study(folder, base, 1, PARTICLES, here)
+    return accuracy.study(folder, base, SEEDS, PARTICLES, here)
 
 
 def test_one_row_for_each_run_in_a_fixed_order(rows):
@@ -76,7 +77,7 @@ def test_an_interrupted_study_goes_on_where_it_stopped(rows, base, folder, tmp_p
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        accuracy.study(tmp_path, base, 1, PARTICLES, interrupted)
+        accuracy.study(tmp_path, base, SEEDS, PARTICLES, interrupted)
     with (tmp_path / "accuracy.csv").open("a") as file:
         file.write("informed,2,20")
     computed = []
@@ -85,7 +86,7 @@ def test_an_interrupted_study_goes_on_where_it_stopped(rows, base, folder, tmp_p
         computed.extend(job.robots for job in jobs)
         return here(lambda job: [r for r in rows if r.robots == job.robots], jobs)
 
-    assert len(accuracy.study(tmp_path, base, 1, PARTICLES, remaining)) == len(rows)
+    assert len(accuracy.study(tmp_path, base, SEEDS, PARTICLES, remaining)) == len(rows)
     assert computed == [2, 3]
     for name in ("accuracy.csv", "accuracy.md"):
         assert (tmp_path / name).read_text() == (folder / name).read_text()
@@ -93,15 +94,15 @@ def test_an_interrupted_study_goes_on_where_it_stopped(rows, base, folder, tmp_p
 
 def test_rows_of_other_settings_are_not_mixed(rows, folder):
     with pytest.raises(InputError, match="other settings"):
-        accuracy.study(folder, accuracy.calibrated(0.25), 1, PARTICLES, here)
+        accuracy.study(folder, accuracy.calibrated(0.25), SEEDS, PARTICLES, here)
 
 
 @pytest.mark.parametrize("text", ["filter,robots\n", "{header}\nmotion,one\n"])
 def test_a_table_that_is_none_of_ours_is_refused(text, tmp_path):
     path = tmp_path / "accuracy.csv"
-    path.write_text(text.format(header=",".join(accuracy.HEADER)))
+    path.write_text(text.format(header=",".join(accuracy_table.COLUMNS)))
     with pytest.raises(InputError, match=r"accuracy\.csv"):
-        accuracy.read(path)
+        accuracy_table.opened(path)
 
 
 def test_an_unknown_filter_is_refused():
@@ -139,7 +140,7 @@ def test_ratio_to_the_optimum_is_of_root_mean_squares_over_all_robots_at_its_sta
 @pytest.mark.parametrize(("name", "nees"), [("motion", "| 1 |"), ("rejuvenated", "| 7 |")])
 def test_cells_are_mean_and_deviation_but_the_nees_of_collapsed_sets_is_the_median(name, nees):
     values = {"filter": name, "robots": 1, "particles": 10}
-    numbers = {column: 1.0 for column in accuracy.HEADER if column not in {*values, "seed"}}
+    numbers = {column: 1.0 for column in accuracy_table.COLUMNS if column not in {*values, "seed"}}
     group = [
         Row(
             **values,
@@ -147,6 +148,6 @@ def test_cells_are_mean_and_deviation_but_the_nees_of_collapsed_sets_is_the_medi
         )
         for s, (r, n) in enumerate(((0.5, 1.0), (1.5, 1.0), (1.0, 19.0)))
     ]
-    table = accuracy.markdown(group)
+    table = accuracy_table.markdown(group)
     assert f"| 2.00 ± {np.std([1, 3, 2]):.2f} |" in table
     assert nees in table.splitlines()[-1]

@@ -1,21 +1,20 @@
 """The benchmark measures a sound run and writes what it promises; nothing here depends on time."""
 
 import json
-import sys
 
 import numpy as np
 import pytest
 from numba import njit
 
 from msg_defs.errors import InputError
-from multi_robot_slam.cli import main as cli
 from multi_robot_slam.models import stereo
 from multi_robot_slam.models.motion import MotionSettings, increment, standard_deviations
-from multi_robot_slam.studies import bench, machine, rivals, session
+from multi_robot_slam.studies import bench, bench_limits, bench_rows, machine, rivals, session
 from multi_robot_slam.studies.session import Clock, Session
 from multi_robot_slam.studies.workload import World
 
-TINY = bench.Sizes(
+BENCH = ("study", "bench")
+TINY = bench_limits.Sizes(
     particles=100,
     few_particles=40,
     textbook_particles=2,
@@ -33,11 +32,11 @@ TINY = bench.Sizes(
 
 @pytest.fixture(scope="module")
 def rows():
-    return bench.measure(TINY)
+    return bench_rows.measure(TINY)
 
 
 def test_every_figure_is_there_in_order_and_finite(rows):
-    assert [row.name for row in rows] == list(bench.TARGETS)
+    assert [row.name for row in rows] == list(bench_rows.TARGETS)
     for row in rows:
         assert np.isfinite([row.value, row.target, row.limit, *row.spread]).all()
         assert row.value > 0
@@ -54,7 +53,7 @@ def test_a_target_is_met_from_the_right_side(rows):
 def test_json_is_a_list_of_objects(rows):
     written = json.loads(bench.to_json(rows))
     assert [set(row) >= {"name", "value", "unit", "target", "limit"} for row in written]
-    assert [bench.Row(**row | {"spread": tuple(row["spread"])}) for row in written] == rows
+    assert [bench_rows.Row(**row | {"spread": tuple(row["spread"])}) for row in written] == rows
 
 
 @pytest.mark.parametrize("proposal", ["motion", "informed"])
@@ -174,43 +173,33 @@ def test_bytes_are_counted_once_wherever_they_hang():
 
     whole = np.zeros((10, 4), np.float32)
     thing = Thing(a=whole, b=[whole[2:4], (whole.T, np.zeros(3))], c=Thing(d="text", e=7))
-    assert bench.bytes_of(thing, set()) == 160 + 24
+    assert bench_rows.bytes_of(thing, set()) == 160 + 24
 
 
-@pytest.fixture
-def command(monkeypatch, capfd):
-    def run(*words):
-        monkeypatch.setattr(sys, "argv", ["multi_robot_slam", "bench", *map(str, words)])
-        with pytest.raises(SystemExit) as end:
-            cli.main()
-        return end.value.code or 0, *capfd.readouterr()
-
-    return run
-
-
-def test_command_prints_and_writes_the_rows(command, monkeypatch, tmp_path):
+@pytest.mark.parametrize("verb", [BENCH, ("bench",)], ids=["study", "other_programs"])
+def test_command_prints_and_writes_the_rows(command, monkeypatch, tmp_path, verb):
     asked = []
-    row = bench.Row("first_step_s", 0.5, "s", 2.0, 0.2, (0.4, 0.6), True, "a note")
+    row = bench_rows.Row("first_step_s", 0.5, "s", 2.0, 0.2, (0.4, 0.6), True, "a note")
 
-    def fake_run(quick):
-        asked.append(quick)
+    def fake_run(quick, seed):
+        asked.append((quick, seed))
         return [row]
 
     monkeypatch.setattr(bench, "run", fake_run)
-    code, out, _ = command("--quick", "--json", tmp_path / "rows.json")
+    code, out, _ = command(*verb, "--quick", "--first-seed", "7", "--json", tmp_path / "rows.json")
     assert code == 0
-    assert asked == [True]
+    assert asked == [(True, 7)]
     assert "first_step_s" in out
     assert "a note" in out
     assert json.loads((tmp_path / "rows.json").read_text())[0]["value"] == 0.5
 
 
 def test_command_refuses_what_it_cannot_do(command, monkeypatch, tmp_path):
-    code, _, err = command("--json", tmp_path / "no" / "rows.json")
+    code, _, err = command(*BENCH, "--json", tmp_path / "no" / "rows.json")
     assert code == 2
     assert "choose another" in err
     monkeypatch.setattr(rivals, "LITERAL", tmp_path / "literal_algorithm1.py")
-    code, _, err = command()
+    code, _, err = command(*BENCH)
     assert code == 2
     assert "source checkout" in err
     with pytest.raises(InputError):

@@ -10,11 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from msg_defs.errors import InputError
-from multi_robot_slam.studies import experiment_table, experiments
+from multi_robot_slam.studies import experiment_grid, experiment_table, experiments, exploration
+from multi_robot_slam.studies.experiment_grid import FIGURES, Grid
 from multi_robot_slam.studies.experiment_table import RESULTS, Trial
-from multi_robot_slam.studies.experiments import FIGURES, Grid
 
-FULL = experiments.plan(FIGURES, Grid(), range(20), experiments.paper())
+FULL = experiment_grid.plan(FIGURES, Grid(), range(20), experiment_grid.paper())
 
 
 def of_figure(figure):
@@ -42,7 +42,7 @@ def fake_execute(function, jobs):
 
 
 def test_usual_run_has_the_parameters_of_table_2():
-    base = experiments.paper()
+    base = experiment_grid.paper()
     (usual,) = {dataclasses.replace(t, seed=0) for t in of_figure("fig3")}
     assert (usual.particles, usual.observations, usual.d_max_m) == (500, 15, 10.0)
     assert (usual.descriptor_noise, usual.robots, usual.proposal) == (0.01, 3, "motion")
@@ -82,7 +82,7 @@ def test_seed_decides_tour_and_start_whatever_else_varies():
 def test_teams_share_one_world_and_one_tour():
     base = small_experiment.base()
     one, three = (
-        experiments.explore(base, trial)
+        exploration.explore(base, trial)
         for _, trial in small_experiment.wanted([4])
         if trial.particles == 1 and trial.proposal == "motion" and trial.robots != 2
     )
@@ -96,7 +96,7 @@ def test_teams_share_one_world_and_one_tour():
 
 
 def test_jobs_cover_every_trial_once_and_one_simulation_each():
-    base, trials = experiments.paper(), {trial for _, trial in FULL}
+    base, trials = experiment_grid.paper(), {trial for _, trial in FULL}
     jobs = experiments.jobs(trials, base)
     assert sorted(trial for job in jobs for trial in job.trials) == sorted(trials)
     simulations = [
@@ -113,13 +113,13 @@ def test_run_that_figures_share_is_computed_once_and_has_a_row_in_each(tmp_path)
     base = small_experiment.base()
     filters = {name: dataclasses.replace(f, particles=5) for name, f in base.filters.items()}
     base = dataclasses.replace(base, filters=filters)
-    wanted = experiments.plan(("fig5", "fig6", "fig7", "fig8"), grid, [0], base)
+    wanted = experiment_grid.plan(("fig5", "fig6", "fig7", "fig8"), grid, [0], base)
     done = []
     rows = experiments.run(wanted, base, tmp_path, counted(done))
     assert (len(done), len(rows)) == (6, 24)
     for trial in done:
         assert len({str(rows[figure, trial]) for figure in ("fig5", "fig6", "fig7", "fig8")}) == 1
-    more = experiments.plan(("fig9",), dataclasses.replace(grid, particles=(5,)), [0], base)
+    more = experiment_grid.plan(("fig9",), dataclasses.replace(grid, particles=(5,)), [0], base)
     experiments.run(more, base, tmp_path, counted(done))
     assert len(done) == 6 + 4
 
@@ -187,14 +187,14 @@ def test_result_is_the_error_of_what_the_robots_reported():
     base = small_experiment.base()
     _, trial = small_experiment.wanted([5])[-1]
     (result,) = experiments.compute(experiments.Job(base, (trial,)))
-    exploration = experiments.explore(base, trial)
+    explored = exploration.explore(base, trial)
     squares = []
-    for name, path in exploration.truth.items():
-        x0, y0, yaw = exploration.start_poses[name]
+    for name, path in explored.truth.items():
+        x0, y0, yaw = explored.start_poses[name]
         turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
         reported = [
             robot.odometry.pose[:2]
-            for instant in exploration.instants
+            for instant in explored.instants
             for robot in instant
             if robot.odometry.robot == name
         ]
@@ -207,7 +207,7 @@ def test_result_is_the_error_of_what_the_robots_reported():
 
 
 def test_batch_solution_is_the_same_for_every_filter_and_better_than_odometry():
-    base = experiments.paper()
+    base = experiment_grid.paper()
     trials = [t for t in of_figure("fig5") if t.seed == 1 and t.robots == 3 and t.particles == 10]
     results = experiments.compute(experiments.Job(base, tuple(trials)))
     one, other = (result["batch_path_rmse_m"] for result in results)
@@ -238,10 +238,10 @@ numbers = st.floats(1e-6, 1e6) | st.none()
 )
 def test_line_of_the_table_round_trips(robots, offset, values):
     trial = Trial(robots, 500, 15, 10.0, 0.0125, "motion", "ring", offset, 7)
-    line = experiment_table.to_line("fig5", trial, dict(zip(RESULTS, values, strict=True)))
-    figure, again, result = experiment_table.from_line(line)
-    assert (figure, again) == ("fig5", trial)
-    assert experiment_table.to_line(figure, again, result) == line
+    line = experiment_table.to_line(("fig5", trial), dict(zip(RESULTS, values, strict=True)))
+    key, result = experiment_table.from_line(line)
+    assert key == ("fig5", trial)
+    assert experiment_table.to_line(key, result) == line
     for value, read in zip(values, result.values(), strict=True):
         assert read == (value if value is None else pytest.approx(value, rel=1e-5))
 
@@ -249,7 +249,7 @@ def test_line_of_the_table_round_trips(robots, offset, values):
 @pytest.mark.parametrize("text", ["0", "", "1,,2", "-5,10", "many", "1.5"])
 def test_particle_numbers_below_one_are_refused(text):
     with pytest.raises(InputError, match="particles = "):
-        experiments.particle_numbers(text)
+        experiment_grid.particle_numbers(text)
 
 
 @pytest.mark.parametrize(
@@ -258,24 +258,24 @@ def test_particle_numbers_below_one_are_refused(text):
         (("fig2",), "no experiment 'fig2'"),
         ((), "name the experiment"),
         (("fig5", "--particles", "0,10"), "particles = '0,10'"),
-        (("--row", "fig5,1,2"), "not a row of table.csv"),
+        (("--row", "fig5,1,2"), "not a row of the table"),
         (("--row", ",".join(["x"] * len(experiment_table.COLUMNS))), "robots = 'x'"),
         (("fig3", "--out", "/dev/null/out"), "cannot write"),
     ],
 )
 def test_bad_argument_is_told_in_a_line(command, tmp_path, monkeypatch, words, said):
     monkeypatch.chdir(tmp_path)
-    code, out, err = command("experiment", *words)
+    code, out, err = command("study", "experiment", *words)
     assert (code, out, err.count("\n")) == (2, "", 1), err
     assert said in err
 
 
 def test_command_leaves_table_settings_pictures_and_statements(command, tmp_path):
     words = ("fig4", "--repeats", "3", "--out", tmp_path)
-    assert command("experiment", *words)[0] == 0
+    assert command("study", "experiment", *words)[0] == 0
     assert {p.name for p in tmp_path.iterdir()} == {"table.csv", "settings.yaml", "fig4.png"}
     (row,) = (tmp_path / "table.csv").read_text().splitlines()[1:]
-    code, printed, _ = command("experiment", "--row", row)
+    code, printed, _ = command("study", "experiment", "--row", row)
     timing = experiment_table.COLUMNS.index(experiment_table.TIMING)
     again, given = printed.strip().split(","), row.split(",")
     again[timing] = given[timing]

@@ -8,8 +8,8 @@ from helpers import fake_run
 
 from msg_defs.types import CameraMount, ObservationSet
 from multi_robot_slam.studies import figures
+from multi_robot_slam.studies.experiment_grid import Grid, paper, plan
 from multi_robot_slam.studies.experiment_table import RESULTS
-from multi_robot_slam.studies.experiments import Grid, paper, plan
 from sim_world import stereo
 
 GRID = Grid((1, 50, 500), (6.0, 8.0, 10.0), (0.01, 0.012, 0.014), (0, 5, 15))

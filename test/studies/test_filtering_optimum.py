@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from multi_robot_slam.pipeline import refinement
-from multi_robot_slam.studies import accuracy, experiments, filtering_optimum
+from multi_robot_slam.studies import accuracy, experiment_grid, exploration, filtering_optimum
 
 
 @pytest.fixture(scope="module")
 def explored():
     base = accuracy.calibrated()
-    exploration = experiments.explore(base, experiments.usual(base, 2, "informed", 4))
+    explored = exploration.explore(base, experiment_grid.usual(base, 2, "informed", 4))
     alone = replace(base.filters["informed"], particles=1)
-    run, pipeline = experiments.estimate(exploration, alone)
+    run, pipeline = exploration.estimate(explored, alone)
     return pipeline.lineage(), run.observation_truth, run.config
 
 

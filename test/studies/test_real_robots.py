@@ -24,7 +24,7 @@ def original(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def rows(original, tmp_path_factory):
-    return real_robots.study(original, tmp_path_factory.mktemp("study"), 2, 30, execute)
+    return real_robots.study(original, tmp_path_factory.mktemp("study"), range(2), 30, execute)
 
 
 def test_a_row_for_each_robot_and_the_team_of_every_run(rows):

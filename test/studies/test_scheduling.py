@@ -127,10 +127,8 @@ def test_cluster_that_loses_a_worker_gives_the_same_table(
 
 
 def refused(command, tmp_path, address):
-    start = time.monotonic()
-    words = ("experiment", "fig3", "--out", tmp_path / "out", "--scheduler", address)
+    words = ("study", "experiment", "fig3", "--out", tmp_path / "out", "--scheduler", address)
     code, _, err = command(*words)
-    assert time.monotonic() - start < 15
     assert (code, err.count("\n")) == (2, 1), err
     return err
 

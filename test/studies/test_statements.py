@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from multi_robot_slam.studies import statements
+from multi_robot_slam.studies.experiment_grid import Grid, paper, plan
 from multi_robot_slam.studies.experiment_table import RESULTS
-from multi_robot_slam.studies.experiments import Grid, paper, plan
 
 SEEDS = range(12)
 GRID = Grid((1, 50, 500), (6.0, 8.0, 10.0), (0.01, 0.012, 0.014), (0, 1, 5, 15))

@@ -1,0 +1,103 @@
+"""The configuration of a run: the bag's, a scenario's, and what single settings override."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from msg_defs import scenario_file, topics
+from msg_defs.errors import InputError
+from multi_robot_slam.bags import BagReader, absolute
+from multi_robot_slam.config import SECTION, Config
+from multi_robot_slam.pipeline import offline
+
+OF_THE_RECORDING = ("robots", "start_poses", "mount", "mounts", "sightings")
+"""Facts about the robots and what they sent, which another way to estimate does not change."""
+OF_EACH_ROBOT = ("start_poses", "mounts")
+"""Those of them with one entry for each robot, in the order of `robots`; `mounts` may be empty."""
+
+
+def of_run(
+    bag: Path, scenario: str | None, overrides: Mapping, warn: Callable[[str], None]
+) -> Config:
+    """How to estimate from `bag`.
+
+    `overrides` win over `scenario`, and what these two state explicitly wins over the configuration
+    in the bag. Of what a scenario leaves out, the facts about the robots (`OF_THE_RECORDING`) are
+    the bag's, the rest are defaults. Without a scenario everything left out is the bag's.
+
+    Raises
+    ------
+    InputError : without a configuration, or when a robot that is stated was not recorded. One that
+        only the bag's own configuration names is told to `warn`.
+
+    """
+    recorded = offline.recorded_config(bag)
+    if scenario is None and recorded is None:
+        raise InputError(
+            f"{bag} carries no configuration on /{topics.FUSION_CONFIG.name}, its topics are "
+            f"{BagReader(bag).found()}: name one with --scenario"
+        )
+    stated, source = _stated(scenario)
+    stated = merged(stated, overrides)
+    known = {} if recorded is None else scenario_file.to_plain(recorded)
+    if scenario is not None:
+        known = {name: value for name, value in known.items() if name in OF_THE_RECORDING}
+    values = merged(_for_robots(known, stated, bag), stated)
+    config = scenario_file.from_mapping(Config, values, source)
+    _check_robots(bag, config, "robots" in stated, warn)
+    return config
+
+
+def merged(below: Mapping, above: Mapping) -> dict:
+    """Nested values of both; where both have one it is that of `above`."""
+    values = dict(below)
+    for name, value in above.items():
+        is_group = isinstance(value, Mapping) and isinstance(values.get(name), Mapping)
+        values[name] = merged(values[name], value) if is_group else value
+    return values
+
+
+def _stated(scenario: str | None) -> tuple[dict, str]:
+    """What the scenario states, and its name for complaints."""
+    if scenario is None:
+        return {}, "--set"
+    path = scenario_file.find_scenario(scenario)
+    source = f"{path}: {SECTION}"
+    return scenario_file.sections(scenario_file.read(path), str(path))[SECTION], source
+
+
+def _for_robots(known: Mapping, stated: Mapping, bag: Path) -> dict:
+    """What is `known`, for the robots that are `stated` if any are; a stated `mount` is for all."""
+    own = dict(known)
+    if "mount" in stated:
+        own.pop("mounts", None)
+    names = stated.get("robots")
+    if not isinstance(names, list):
+        return own
+    for key in (key for key in OF_EACH_ROBOT if own.get(key) and key not in stated):
+        entries = dict(zip(known["robots"], known[key], strict=True))
+        if strangers := [str(name) for name in names if name not in entries]:
+            raise InputError(
+                f"{key}: the configuration in {bag} has none of {', '.join(strangers)}, its robots "
+                f"are {', '.join(entries)}; state {key} of each robot, or correct robots"
+            )
+        own[key] = [entries[name] for name in names]
+    return own
+
+
+def _check_robots(bag: Path, config: Config, are_stated: bool, warn: Callable[[str], None]) -> None:
+    """Make sure that the bag has something of every robot; of none is told when it is read."""
+    reader = BagReader(bag)
+    recorded = {topic.name for topic in reader.summary.topics}
+    absent = {}
+    for robot in config.robots:
+        expected = [absolute(of(robot).name) for of in (topics.odometry, topics.observations)]
+        if missing := [name for name in expected if name not in recorded]:
+            absent[robot] = f"{bag} has no {' and no '.join(missing)}"
+    for robot, what in absent.items():
+        if are_stated:
+            raise InputError(
+                f"robots: {robot} was not recorded: {what}; its topics are {reader.found()}; "
+                "correct robots"
+            )
+        if len(absent) < len(config.robots):
+            warn(f"{robot} was not recorded: {what}")

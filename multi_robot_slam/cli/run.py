@@ -1,0 +1,79 @@
+"""`demo` and `run`: a new run, from simulated robots or from a bag."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from msg_defs import cli
+from multi_robot_slam.cli import overrides
+from multi_robot_slam.cli.options import OtherScenario, Out, Robots, ScenarioName, Seed
+from multi_robot_slam.cli.terminal import counter, warn
+
+
+def demo(
+    scenario: ScenarioName = "calibrated",
+    robots: Robots = None,
+    seed: Seed = 0,
+    speed: Annotated[float, typer.Option(min=0, help="Times real time; 0: at once.")] = 5.0,
+    out: Out = None,
+) -> None:
+    """Simulated robots, fusion and recorder as processes that talk over ROS 2; then the results.
+
+    Leaves a bag, the configuration, result.json, trajectories, the map, pictures and report.html,
+    a page to explore them, in runs/<time>, with a link runs/latest.
+    """
+    from multi_robot_slam.cli import folders, processes, results
+    from multi_robot_slam.pipeline import offline
+
+    cli.require_ros()
+    text = processes.configure(scenario, robots, seed)
+    with folders.new_folder(out) as folder:
+        (folder / "scenario.yaml").write_text(text)
+        processes.record(folder, folder / "scenario.yaml", seed, speed)
+        result = offline.load(folder)
+        results.draw(result, results.finish(result, folder), folder)
+
+
+def run(
+    bag: Annotated[Path, typer.Argument(help="Bag folder, .mcap or .db3 file.")],
+    out: Out = None,
+    scenario: OtherScenario = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="NAME=VALUE",
+            help="Any setting by its dotted name, such as filter.gate=9; can be given repeatedly.",
+            autocompletion=overrides.completions,
+        ),
+    ] = None,
+    particles: Annotated[
+        int | None, typer.Option(min=1, help="Number of particles M: filter.particles.")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Seed of the filter: seed.")] = None,
+    refine: Annotated[
+        bool, typer.Option("--refine", help="Then smooth over the best particle's associations.")
+    ] = False,
+) -> None:
+    """Estimate paths and map from a recorded bag, as fast as the filter goes; no ROS needed."""
+    from multi_robot_slam import runs
+    from multi_robot_slam.cli import configuration, folders, results
+    from multi_robot_slam.pipeline import offline
+
+    words = list(set_ or ())
+    words += [f"filter.particles={particles}"] if particles is not None else []
+    words += [f"seed={seed}"] if seed is not None else []
+    config = configuration.of_run(bag, scenario, overrides.parse(words), warn)
+    with folders.new_folder(out) as folder:
+        with counter("steps") as progress:
+            task = progress.add_task(f"{bag}", total=None)
+            result = offline.estimate(
+                bag,
+                config,
+                warn=warn,
+                on_step=lambda step: progress.update(task, completed=step.step),
+                refine=refine,
+            )
+        runs.write_estimates(result, folder)
+        results.finish(result, folder)

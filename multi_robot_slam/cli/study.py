@@ -1,0 +1,190 @@
+"""`study ...`: what this package says about itself, measured again."""
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from msg_defs.errors import InputError
+from multi_robot_slam.cli.options import FirstSeed, Out
+from multi_robot_slam.cli.terminal import console, countdown, counter, messages
+
+app = typer.Typer(
+    help="Studies of the filter: the paper's experiments, accuracy, real robots, speed.",
+    no_args_is_help=True,
+)
+
+LONG_S = 600.0
+"""Rows of an experiment take minutes: the time left is estimated over as long."""
+
+
+def _figures(incomplete: str) -> list[str]:
+    return [f for f in (*(f"fig{i}" for i in range(3, 10)), "all") if f.startswith(incomplete)]
+
+
+@app.command()
+def experiment(
+    name: Annotated[
+        str | None,
+        typer.Argument(help="fig3, fig4, ... fig9, or all.", autocompletion=_figures),
+    ] = None,
+    repeats: Annotated[
+        int | None, typer.Option(min=1, help="Runs of each point; default 20, with --quick 2.")
+    ] = None,
+    out: Annotated[
+        Path, typer.Option(help="Folder of the table; rows it has are not computed again.")
+    ] = Path("runs/experiments"),
+    particles: Annotated[
+        str | None, typer.Option(help="Numbers of particles in figures 5 and 9: 1,50,500.")
+    ] = None,
+    first_seed: FirstSeed = 0,
+    quick: Annotated[bool, typer.Option("--quick", help="Few repeats of few points.")] = False,
+    processes: Annotated[
+        int | None, typer.Option(min=1, help="Processes on this machine; default: one per core.")
+    ] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(help="Run on the Dask cluster of this scheduler, tcp://...")
+    ] = None,
+    row: Annotated[
+        str | None, typer.Option(help="Instead: compute this row of table.csv again.")
+    ] = None,
+) -> None:
+    """The paper's experiments: table.csv, a picture of each figure, and what it shows.
+
+    Rows are written as they finish: an interrupted experiment goes on where it stopped.
+    """
+    from multi_robot_slam.studies import experiment_grid, experiment_report, experiments, scheduling
+
+    base = experiment_grid.paper()
+    execute = (
+        partial(scheduling.on_cluster, scheduler=scheduler)
+        if scheduler
+        else partial(scheduling.local, processes=processes)
+    )
+    if row is not None:
+        typer.echo(experiments.repeat(row, base, execute))
+        return
+    if name is None:
+        raise InputError("name the experiment: fig3, fig4, ... fig9, or all")
+    grid = experiment_grid.QUICK if quick else experiment_grid.Grid()
+    if particles is not None:
+        grid = replace(grid, particles=experiment_grid.particle_numbers(particles))
+    count = repeats or (experiment_grid.QUICK_REPEATS if quick else experiment_grid.REPEATS)
+    seeds = range(first_seed, first_seed + count)
+    wanted = experiment_grid.plan(experiment_grid.figures_of(name), grid, seeds, base)
+    with countdown(LONG_S) as progress:
+        task = progress.add_task(f"{name}, {len(wanted)} rows", total=None)
+        rows = experiments.run(
+            wanted,
+            base,
+            out,
+            execute,
+            lambda done, total: progress.update(task, completed=done, total=total),
+        )
+    experiment_report.write(rows, base, out)
+    console.print(f"Everything is in {out}", markup=False)
+
+
+@app.command()
+def accuracy(
+    repeats: Annotated[int, typer.Option(min=1, help="Seeds of each team.")] = 20,
+    filters: Annotated[
+        str, typer.Option(help="Which filters, with commas between.")
+    ] = "motion,informed,rejuvenated",
+    particles: Annotated[
+        str | None,
+        typer.Option(
+            help="Numbers of particles, with commas between, of every filter. "
+            "Default: 10,100,500,2000, and 100,500 of the rejuvenated one."
+        ),
+    ] = None,
+    resample_below: Annotated[
+        float, typer.Option(min=0, max=1, help="Share of effective particles to resample below.")
+    ] = 0.5,
+    rest: Annotated[
+        int | None,
+        typer.Option(min=1, help="Fewest steps between two rejuvenations, if not the scenario's."),
+    ] = None,
+    first_seed: FirstSeed = 0,
+    out: Annotated[
+        Path, typer.Option(help="Folder of the table; rows it has are not computed again.")
+    ] = Path("runs/accuracy"),
+) -> None:
+    """How close filter and refinement come to least squares with the true associations.
+
+    Prints and writes mean and spread over seeds, for 1 to 3 robots in the calibrated scenario:
+    the paper's proposal (motion), the informed one, and the informed one with rejuvenation. Rows
+    are written as they finish: an interrupted study goes on where it stopped.
+    """
+    from multi_robot_slam.studies import accuracy, accuracy_table, experiment_grid, scheduling
+
+    chosen = {name: accuracy.PARTICLES[name] for name in accuracy.filters_of(filters)}
+    if particles is not None:
+        chosen = dict.fromkeys(chosen, experiment_grid.particle_numbers(particles))
+    base = accuracy.calibrated(resample_below, rest)
+    with counter("explorations") as progress:
+        task = progress.add_task("accuracy", total=None)
+        rows = accuracy.study(
+            out,
+            base,
+            range(first_seed, first_seed + repeats),
+            chosen,
+            scheduling.local,
+            lambda done, total: progress.update(task, completed=done, total=total),
+        )
+    typer.echo(accuracy_table.markdown(rows))
+
+
+@app.command()
+def real(
+    folder: Annotated[Path, typer.Argument(help="Folder of a UTIAS MRCLAM recording.")],
+    seeds: Annotated[int, typer.Option(min=1, help="Runs of each set-up.")] = 10,
+    particles: Annotated[int, typer.Option(min=1, help="Number of particles M.")] = 500,
+    first_seed: FirstSeed = 0,
+    out: Out = None,
+) -> None:
+    """How well the filter locates real robots: together, with and without sightings, and alone.
+
+    Prints and writes mean and spread over seeds of real.csv, for the filter with rejuvenation and
+    for both proposals without it, beside odometry and least squares with the true identities.
+    """
+    from multi_robot_slam.cli.folders import new_folder
+    from multi_robot_slam.studies import real_robots, scheduling
+
+    with new_folder(out) as target:
+        with counter("runs") as progress:
+            task = progress.add_task(f"{folder}", total=None)
+            rows = real_robots.study(
+                folder,
+                target,
+                range(first_seed, first_seed + seeds),
+                particles,
+                scheduling.local,
+                lambda done, total: progress.update(task, completed=done, total=total),
+            )
+        real_robots.write(rows, target)
+    typer.echo(real_robots.markdown(rows))
+    console.print(f"Everything is in {target}", markup=False)
+
+
+@app.command()
+def bench(
+    json: Annotated[Path | None, typer.Option(metavar="FILE", help="Also write the rows.")] = None,
+    quick: Annotated[bool, typer.Option(help="Fewer steps: under 40 s.")] = False,
+    first_seed: Annotated[int, typer.Option(min=0, help="Seed of the measured runs.")] = 0,
+) -> None:
+    """Measure the filter's speed and memory, beside what this machine would allow."""
+    from multi_robot_slam.studies import bench
+
+    if json is not None:
+        try:
+            json.touch()
+        except OSError as error:
+            raise InputError(f"cannot write {json}: {error.strerror}; choose another") from None
+    with messages.status("Measuring, one thread; leave the machine alone"):
+        rows = bench.run(quick, first_seed)
+    if json is not None:
+        json.write_text(bench.to_json(rows))
+    console.print(bench.report(rows))

@@ -1,0 +1,121 @@
+"""One exploration: a simulated team and its filter, in this process and without ROS."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from msg_defs.types import LandmarkMap, Trajectory, Walls
+from multi_robot_slam.config import Config
+from multi_robot_slam.filter.settings import FilterSettings
+from multi_robot_slam.pipeline import refinement
+from multi_robot_slam.pipeline.pipeline import Pipeline
+from multi_robot_slam.runs import run as runs
+from multi_robot_slam.studies.experiment_table import Trial
+from sim_world.scenario import Scenario
+from sim_world.simulator import RobotStep, Simulation
+
+
+@dataclass(frozen=True)
+class Base:
+    """What all runs have in common: the world, and the filter behind each proposal."""
+
+    scenario: Scenario
+    filters: dict[str, FilterSettings]
+    """motion: the paper's. informed: this package's own, with its defaults."""
+
+
+@dataclass(frozen=True, eq=False)
+class Exploration:
+    """A simulated exploration: all that the robots reported, and the truth."""
+
+    scenario: Scenario
+    seed: int
+    start_poses: dict[str, np.ndarray]
+    instants: list[tuple[RobotStep, ...]]
+    truth: dict[str, Trajectory]
+    landmarks: LandmarkMap
+    walls: Walls
+
+
+def explore(base: Base, trial: Trial) -> Exploration:
+    """Simulate the exploration of a trial."""
+    scenario = replace(
+        base.scenario,
+        robots=trial.robots,
+        observations=trial.observations,
+        d_max_m=trial.d_max_m,
+        descriptor_noise=trial.descriptor_noise,
+        trajectory=trial.trajectory,
+        start_offset=trial.start_offset,
+    )
+    simulation = Simulation(scenario, trial.seed)
+    return Exploration(
+        scenario,
+        trial.seed,
+        simulation.start_poses,
+        list(simulation.steps()),
+        {name: simulation.truth_path(name) for name in scenario.names},
+        simulation.landmarks,
+        simulation.walls,
+    )
+
+
+def estimate(
+    exploration: Exploration, filter_settings: FilterSettings
+) -> tuple[runs.Run, Pipeline]:
+    """The filter's run over the exploration, and the pipeline at its end."""
+    starts = exploration.start_poses
+    config = Config(
+        robots=tuple(starts),
+        start_poses=tuple(tuple(map(float, pose)) for pose in starts.values()),
+        seed=exploration.seed,
+        mount=exploration.scenario.camera.mount,
+        filter=filter_settings,
+    )
+    pipeline = Pipeline(config)
+    pipeline.warm_up()
+    steps = []
+    for instant in exploration.instants:
+        for robot in instant:
+            steps += pipeline.handle(robot.odometry)
+            steps += pipeline.handle(robot.observations)
+    steps += pipeline.finish()
+    run = runs.assemble(
+        config,
+        _recorded(exploration),
+        steps,
+        pipeline.trajectories(),
+        pipeline.landmark_map(),
+        pipeline.dropped,
+    )
+    return run, pipeline
+
+
+def _recorded(exploration: Exploration) -> runs.Recorded:
+    by_robot = list(zip(*exploration.instants, strict=True))
+    truths = [robot.observation_truth for steps in by_robot for robot in steps]
+    return runs.Recorded(
+        odometry={
+            steps[0].odometry.robot: runs.trajectory(step.odometry for step in steps)
+            for steps in by_robot
+        },
+        truth=exploration.truth,
+        true_landmarks=exploration.landmarks,
+        walls=exploration.walls,
+        observation_truth={(truth.robot, truth.stamp_ns): truth.landmarks for truth in truths},
+    )
+
+
+def filter_of(base: Base, trial: Trial) -> FilterSettings:
+    """The settings of a trial's filter."""
+    return replace(base.filters[trial.proposal], particles=trial.particles)
+
+
+def batch_paths(exploration: Exploration, base: Base) -> dict[str, Trajectory]:
+    """The paths by least squares with the true associations, for comparison.
+
+    The search starts from the path of one particle, so that the answer is the same to the last
+    digit whichever filters it is compared with.
+    """
+    run, pipeline = estimate(exploration, replace(base.filters["informed"], particles=1))
+    return refinement.yardstick(pipeline.lineage(), run.observation_truth, run.config)
