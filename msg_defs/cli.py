@@ -4,6 +4,7 @@ import sys
 from collections.abc import Callable
 from importlib import import_module, metadata
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Annotated, NoReturn
 
 import typer
@@ -29,6 +30,14 @@ def options(
     ] = False,
 ) -> None:
     """Options of the command itself, before any verb."""
+
+
+def scenarios(incomplete: str) -> list[str]:
+    """The shipped scenarios and YAML files whose names begin so, for the shell."""
+    from msg_defs import scenario_file
+
+    files = (str(path) for path in Path().glob(f"{incomplete}*.yaml"))
+    return [*(s for s in scenario_file.shipped() if s.startswith(incomplete)), *sorted(files)]
 
 
 def run(app: Callable[[], object]) -> None:

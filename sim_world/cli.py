@@ -13,8 +13,17 @@ from sim_world.team import team_scenario
 app = typer.Typer(
     help="The simulated world: a building with visual landmarks, and a team of robots in it.",
     no_args_is_help=True,
-    add_completion=False,
+    rich_markup_mode="markdown",
 )
+app.callback()(cli.options)
+
+ScenarioName = Annotated[
+    str,
+    typer.Option(
+        help="Scenario: a YAML file, or paper or calibrated.", autocompletion=cli.scenarios
+    ),
+]
+Robots = Annotated[int | None, typer.Option(min=1, max=32, help="Number of robots.")]
 
 
 @app.command(no_args_is_help=True)
@@ -37,12 +46,7 @@ def descriptors(
 
 
 @app.command()
-def team(
-    scenario: Annotated[
-        str, typer.Option(help="Scenario: a YAML file, or paper or calibrated.")
-    ] = "calibrated",
-    robots: Annotated[int | None, typer.Option(min=1, max=32, help="Number of robots.")] = None,
-) -> None:
+def team(scenario: ScenarioName = "calibrated", robots: Robots = None) -> None:
     """Print the scenario with the team's names and true start poses in it, for every node.
 
     sim_world team --robots 2 > team.yaml
@@ -52,10 +56,45 @@ def team(
     print(team_scenario(scenario, robots), end="")
 
 
-@app.command(
-    context_settings={"allow_extra_args": True, "ignore_unknown_options": True},
-    add_help_option=False,
-)
+@app.command(no_args_is_help=True)
+def generate(
+    out: Annotated[Path, typer.Option(help="Bag to write; it must not exist yet.")],
+    scenario: ScenarioName = "calibrated",
+    robots: Robots = None,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Seed of the robots' noise, and of the filter in the bag.")
+    ] = 0,
+    rate: Annotated[
+        float | None,
+        typer.Option(
+            min=0.01,
+            max=100,
+            help="Frames of each robot in a second [Hz], instead of the scenario's. A lap takes as "
+            "long as before: a higher rate gives smaller movements.",
+        ),
+    ] = None,
+    laps: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="Rounds of the tour that the team makes. One takes T/K times period_s of the "
+            "scenario: 75 s for three robots by default.",
+        ),
+    ] = None,
+) -> None:
+    """Simulate a team straight into a bag, without ROS: `multi_robot_slam run BAG` needs no more.
+
+    It holds what a recorder would: odometry and observations, the truth about them, walls and true
+    landmarks, and the configurations of world and fusion.
+    """
+    from multi_robot_slam.cli import simulated
+
+    world, config = simulated.configure(scenario, robots, seed, rate, laps)
+    simulated.write_bag(world, config, out)
+    print(f"Now: multi_robot_slam run {out}")
+
+
+@app.command(context_settings=cli.PASS_ON, add_help_option=False)
 def robots(context: typer.Context) -> None:
     """Publish the robots' odometry and observations on ROS topics (needs ROS 2).
 

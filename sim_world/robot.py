@@ -1,7 +1,8 @@
 """One robot: it drives its true path, and reports noisy odometry and noisy observations."""
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -27,21 +28,26 @@ class RobotStep:
     observation_truth: ObservationTruth
 
 
-def stamps_ns(count: int, period_s: float) -> np.ndarray:
-    """(count,) int64 stamps of the steps."""
-    return START_NS + round(period_s * 1e9) * np.arange(count, dtype=np.int64)
+Path = Collection[np.ndarray]
+"""Poses (3,) in their order; an array (T, 3) is one."""
+
+
+def stamps_ns(count: int, period_s: float) -> range:
+    """The stamps of so many steps."""
+    period_ns = round(period_s * 1e9)
+    return range(START_NS, START_NS + count * period_ns, period_ns)
 
 
 def steps(
-    name: str, path: np.ndarray, world: World, scenario: Scenario, seed: np.random.SeedSequence
+    name: str, path: Path, world: World, scenario: Scenario, seed: np.random.SeedSequence
 ) -> Iterator[RobotStep]:
-    """Drive along `path` (T, 3); the first step is the start, before any movement.
+    """Drive along `path`; the first step is the start, before any movement.
 
     Odometry and camera have random streams of their own: observing more or less leaves the
     odometry as it is.
     """
     wheels, camera = (np.random.default_rng(s) for s in seed.spawn(2))
-    stamps = stamps_ns(len(path), scenario.period_s).tolist()
+    stamps = stamps_ns(len(path), scenario.period_s)
     odometry = odometry_samples(name, path, stamps, scenario, wheels)
     truth = true_samples(name, path, stamps, scenario.period_s)
     for moved, true in zip(odometry, truth, strict=True):
@@ -73,7 +79,7 @@ def propagate(
 
 
 def odometry_samples(
-    name: str, path: np.ndarray, stamps: list[int], scenario: Scenario, rng: np.random.Generator
+    name: str, path: Path, stamps: Sequence[int], scenario: Scenario, rng: np.random.Generator
 ) -> Iterator[PoseSample]:
     """Integrate noisy movements in the robot's `odom` frame, from the origin on.
 
@@ -81,7 +87,7 @@ def odometry_samples(
     """
     pose, covariance = np.zeros(3), np.zeros((3, 3))
     yield PoseSample(name, stamps[0], pose)
-    for before, after, stamp in zip(path[:-1], path[1:], stamps[1:], strict=True):
+    for (before, after), stamp in zip(pairwise(path), stamps[1:], strict=True):
         true = between(before, after)
         sigma = np.sqrt(movement_variances(true, scenario.odometry))
         measured = true + sigma * rng.standard_normal(3)
@@ -92,11 +98,11 @@ def odometry_samples(
 
 
 def true_samples(
-    name: str, path: np.ndarray, stamps: list[int], period_s: float
+    name: str, path: Path, stamps: Sequence[int], period_s: float
 ) -> Iterator[PoseSample]:
     """The true poses in `map`, with the velocity of the movement that led to each."""
-    yield PoseSample(name, stamps[0], path[0])
-    for before, after, stamp in zip(path[:-1], path[1:], stamps[1:], strict=True):
+    yield PoseSample(name, stamps[0], next(iter(path)))
+    for (before, after), stamp in zip(pairwise(path), stamps[1:], strict=True):
         yield PoseSample(name, stamp, after, between(before, after)[[0, 2]] / period_s)
 
 

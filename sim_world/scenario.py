@@ -48,8 +48,15 @@ class Scenario:
         float, Interval(ge=0, lt=1), "where along the tour the first robot starts [share of it]"
     ] = 0.0
     movements: Annotated[
-        int, Interval(ge=1, le=100_000), "movements T of the whole exploration; a robot makes T/K"
+        int,
+        Interval(ge=1, le=100_000),
+        "movements T of one round of the tour; a robot makes T/K of them",
     ] = 450
+    laps: Annotated[
+        int,
+        Interval(ge=1, le=1_000_000),
+        "rounds of the tour that the team makes, T movements each",
+    ] = 1
     period_s: Annotated[float, Ge(0.001), "time between two frames of a robot [s]"] = 0.5
     camera: StereoCamera = field(default_factory=StereoCamera)
     d_max_m: Annotated[float, Gt(0), "greatest distance of an observed landmark [m]"] = 10.0

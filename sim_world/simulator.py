@@ -9,6 +9,7 @@ from msg_defs.types import LandmarkMap, Trajectory, Walls
 from sim_world import robot, trajectories, world
 from sim_world.robot import RobotStep
 from sim_world.scenario import Scenario
+from sim_world.trajectories import Drive
 
 __all__ = ["RobotStep", "Simulation"]
 
@@ -26,11 +27,13 @@ class Simulation:
         self.scenario = scenario
         self.seed = seed
         self._world = world.build(scenario)
-        paths = trajectories.poses(
+        parts = trajectories.poses(
             scenario.trajectory, scenario.robots, scenario.movements, scenario.start_offset
         )
         self._index = {n: i for i, n in enumerate(scenario.names) if only in (None, n)}
-        self._paths = {name: paths[index] for name, index in self._index.items()}
+        self._drives = {
+            name: Drive(parts, index, scenario.laps) for name, index in self._index.items()
+        }
 
     @property
     def walls(self) -> Walls:
@@ -45,18 +48,24 @@ class Simulation:
     @property
     def start_poses(self) -> dict[str, np.ndarray]:
         """Name of each simulated robot -> (3,) its true first pose in `map`."""
-        return {name: path[0] for name, path in self._paths.items()}
+        return {name: next(iter(drive)) for name, drive in self._drives.items()}
+
+    @property
+    def instants(self) -> int:
+        """How many `steps` there are."""
+        return len(next(iter(self._drives.values())))
 
     def truth_path(self, name: str) -> Trajectory:
         """The true path of a robot."""
-        path = self._paths[name]
-        return Trajectory(robot.stamps_ns(len(path), self.scenario.period_s), path)
+        path = np.array([*self._drives[name]])
+        stamps = robot.stamps_ns(len(path), self.scenario.period_s)
+        return Trajectory(np.array(stamps, np.int64), path)
 
     def steps(self) -> Iterator[tuple[RobotStep, ...]]:
         """One tuple per instant with a step of each robot; the first is the start."""
         seeds = np.random.SeedSequence(self.seed).spawn(self.scenario.robots)
         robots = [
-            robot.steps(name, path, self._world, self.scenario, seeds[self._index[name]])
-            for name, path in self._paths.items()
+            robot.steps(name, drive, self._world, self.scenario, seeds[self._index[name]])
+            for name, drive in self._drives.items()
         ]
         return zip(*robots, strict=True)

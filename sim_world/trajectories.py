@@ -1,5 +1,7 @@
 """Closed tours through the building, set by hand, and a team's share of them (paper sec. 7)."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from msg_defs.errors import InputError
@@ -51,6 +53,27 @@ def poses(tour: str, robots: int, movements: int, start_offset: float = 0.0) -> 
     share = start_offset + np.arange(robots * each + 1) / (robots * each)
     path = _resample(tour, share)
     return np.stack([path[k * each : (k + 1) * each + 1] for k in range(robots)])
+
+
+class Drive:
+    """(N, 3) poses of one robot that goes on with its team's next part after each of its own.
+
+    `parts` (K, n + 1, 3) is what `poses` returns. Iterating makes one pose after the other, so that
+    a drive of days takes no more memory than one lap.
+    """
+
+    def __init__(self, parts: np.ndarray, robot: int, laps: int) -> None:
+        self._parts = parts
+        self._robot = robot
+        self._laps = laps
+
+    def __len__(self) -> int:
+        return 1 + self._laps * (self._parts.shape[1] - 1)
+
+    def __iter__(self) -> Iterator[np.ndarray]:
+        yield self._parts[self._robot, 0]
+        for lap in range(self._laps):
+            yield from self._parts[(self._robot + lap) % len(self._parts), 1:]
 
 
 def _resample(tour: str, share: np.ndarray) -> np.ndarray:

@@ -5,12 +5,7 @@ from typing import Annotated
 
 import typer
 
-from msg_defs import scenario_file
-
-
-def _scenarios(incomplete: str) -> list[str]:
-    files = (str(path) for path in Path().glob(f"{incomplete}*.yaml"))
-    return [*(s for s in scenario_file.shipped() if s.startswith(incomplete)), *sorted(files)]
+from msg_defs import cli
 
 
 def _runs(incomplete: str) -> list[str]:
@@ -22,14 +17,16 @@ def _runs(incomplete: str) -> list[str]:
 Out = Annotated[Path | None, typer.Option(help="Folder to write; it must not exist yet.")]
 ScenarioName = Annotated[
     str,
-    typer.Option(help="Scenario: a YAML file, or paper or calibrated.", autocompletion=_scenarios),
+    typer.Option(
+        help="Scenario: a YAML file, or paper or calibrated.", autocompletion=cli.scenarios
+    ),
 ]
 OtherScenario = Annotated[
     str | None,
     typer.Option(
         help="Scenario instead of the configuration in the bag. Robots, start poses and cameras "
         "that it leaves out are the bag's.",
-        autocompletion=_scenarios,
+        autocompletion=cli.scenarios,
     ),
 ]
 RunFolder = Annotated[

@@ -8,15 +8,12 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from subprocess import Popen
 
 from msg_defs import scenario_file
-from multi_robot_slam.config import SECTION, Config
 from sim_world.scenario import SECTION as WORLD_SECTION
 from sim_world.scenario import Scenario
-from sim_world.team import team_scenario
 
 END_S = 2.5
 """How long the processes may take to end, all together."""
@@ -27,18 +24,10 @@ IDLE_PERIODS = 4
 """Silence after which the fusion takes the exploration for over: so long, and so many frames."""
 
 
-def configure(scenario: str, robots: int | None, seed: int) -> str:
-    """Every setting of both packages for a simulated team, as YAML."""
-    team = team_scenario(scenario, robots)
-    config = scenario_file.from_yaml(Config, team, SECTION, scenario)
-    world = scenario_file.from_yaml(Scenario, team, WORLD_SECTION, scenario)
-    return scenario_file.to_yaml(**{WORLD_SECTION: world, SECTION: replace(config, seed=seed)})
-
-
 def record(folder: Path, scenario: Path, seed: int, speed: float) -> None:
     """Spawn recorder, fusion and robots; leave `folder/bag` when the exploration is over.
 
-    `scenario` holds what `configure` made. SIGINT, SIGTERM or a process that fails end all of
+    `scenario` is the file of all their settings. SIGINT, SIGTERM or a process that fails end all of
     them, the recorder last, so that its bag is whole; then the program exits.
     """
     os.environ.setdefault("ROS_DOMAIN_ID", str(random.randint(1, 101)))

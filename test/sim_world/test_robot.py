@@ -37,7 +37,7 @@ def arc(movements, length_m=4.0, turn_rad=1.5):
 
 
 def drive(path, scenario, rng):
-    stamps = robot.stamps_ns(len(path), scenario.period_s).tolist()
+    stamps = robot.stamps_ns(len(path), scenario.period_s)
     return list(robot.odometry_samples("r", path, stamps, scenario, rng))
 
 
