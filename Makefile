@@ -21,10 +21,11 @@ figures: $(VENV)/installed ## the paper's experiments into runs/figures, 20 repe
 test: $(VENV)/installed ## the tests
 	$(VENV)/bin/python -m pytest
 
-check: $(VENV)/installed ## style, formatting, import rules, tests: what must pass before a commit
+check: $(VENV)/installed ## style, import rules, types, tests: what must pass before a commit
 	$(VENV)/bin/ruff check
 	$(VENV)/bin/ruff format --check
 	$(VENV)/bin/lint-imports
+	$(VENV)/bin/mypy
 	$(MAKE) test
 
 test-all: check ## check, then the tests with the other supported Python, where it is found
@@ -38,7 +39,7 @@ test-all: check ## check, then the tests with the other supported Python, where 
 	fi
 
 clean: ## removes virtual environments, caches and build folders; results in runs/ stay
-	rm -rf .venv .venv-* build install log *.egg-info .pytest_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf .venv .venv-* build install log *.egg-info .pytest_cache .ruff_cache .hypothesis .import_linter_cache .mypy_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # Editable, so that the code runs from here. No ':' in the path: it separates search paths.

@@ -14,6 +14,7 @@ setup(
             ["resource/multi_robot_slam", "resource/sim_world"],
         ),
         ("share/multi_robot_slam", ["package.xml"]),
+        ("share/sim_world", ["resource/share/sim_world/package.xml"]),
         ("share/multi_robot_slam/config", sorted(glob("config/*.*"))),
         ("lib/sim_world", ["scripts/robots"]),
         ("lib/multi_robot_slam", ["scripts/fusion", "scripts/record", "scripts/replay"]),

@@ -12,20 +12,32 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
+from typing import NoReturn
 
 
 def main() -> None:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     options = parse_arguments()
+    if find_spec("rclpy") is None:
+        refuse("no module 'rclpy': source ROS 2 Jazzy, or pip install 'multi_robot_slam[ros]'")
     os.environ.setdefault("ROS_DOMAIN_ID", str(random.randint(1, 101)))
     print("ROS_DOMAIN_ID is", os.environ["ROS_DOMAIN_ID"])
-    options.out.mkdir(parents=True)
+    words = ("team", "--scenario", options.scenario, "--robots", str(options.robots))
+    told = subprocess.run(
+        [sys.executable, "-m", "sim_world.cli", *words], stdout=subprocess.PIPE, text=True
+    )
+    if told.returncode:  # it has said why
+        sys.exit(told.returncode)
+    try:
+        options.out.mkdir(parents=True)
+    except OSError as error:
+        refuse(f"cannot make the folder {options.out}: {error.strerror}; choose another")
     team = options.out / "team.yaml"
-    with team.open("w") as file:
-        words = ("team", "--scenario", options.scenario, "--robots", str(options.robots))
-        subprocess.run([sys.executable, "-m", "sim_world.cli", *words], stdout=file, check=True)
+    team.write_text(told.stdout)
     # Each input has two subscribers, recorder and fusion; only the recorder wants the truth.
     pace = f"speed:={options.speed}", "subscribers:=2", "truth_subscribers:=1"
     names = ", ".join(f"robot_{i + 1}" for i in range(options.robots))
@@ -48,11 +60,19 @@ def parse_arguments() -> argparse.Namespace:
     parser.add_argument("--scenario", default="calibrated", help="a YAML file, or a name")
     parser.add_argument("--robots", type=int, default=3, help="number of robots")
     parser.add_argument("--speed", type=float, default=5.0, help="times real time; 0 is at once")
-    return parser.parse_args()
+    options = parser.parse_args()
+    if not 0 <= options.speed < float("inf"):
+        refuse(f"--speed {options.speed}: give a number from 0 on")
+    return options
+
+
+def refuse(reason: str) -> NoReturn:
+    print("error:", reason, file=sys.stderr)
+    sys.exit(2)
 
 
 @contextmanager
-def node(module: str, *parameters: str):
+def node(module: str, *parameters: str) -> Iterator[subprocess.Popen]:
     words = [word for parameter in parameters for word in ("-p", parameter)]
     command = [sys.executable, "-m", module, "--ros-args", *words]
     # Ctrl-C reaches this script alone, which then ends the nodes in their order.

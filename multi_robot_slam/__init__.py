@@ -1,12 +1,14 @@
 """The estimate: one landmark map and all robots' paths from what the team sees.
 
-A script needs no deeper import than this one; `examples/` has two.
+A script needs no deeper import than this one; `examples/` has some.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from msg_defs.errors import InputError
+    from msg_defs.types import ObservationSet, PoseSample
     from multi_robot_slam.bags import BagReader, BagWriter
     from multi_robot_slam.config import Config
     from multi_robot_slam.filter.settings import FilterSettings, RejuvenationSettings
@@ -17,19 +19,22 @@ if TYPE_CHECKING:
     from multi_robot_slam.runs import load as load_run
 
 _PLACES = {
-    "BagReader": "bags.BagReader",
-    "BagWriter": "bags.BagWriter",
-    "Config": "config.Config",
-    "FilterSettings": "filter.settings.FilterSettings",
-    "MotionSettings": "models.motion.MotionSettings",
-    "Pipeline": "pipeline.Pipeline",
-    "RejuvenationSettings": "filter.settings.RejuvenationSettings",
-    "Run": "runs.Run",
-    "estimate": "pipeline.offline.estimate",
-    "evaluate": "runs.evaluate",
-    "events": "pipeline.offline.events",
-    "load_run": "runs.load",
-    "recorded_config": "pipeline.offline.recorded_config",
+    "BagReader": "multi_robot_slam.bags.BagReader",
+    "BagWriter": "multi_robot_slam.bags.BagWriter",
+    "Config": "multi_robot_slam.config.Config",
+    "FilterSettings": "multi_robot_slam.filter.settings.FilterSettings",
+    "InputError": "msg_defs.errors.InputError",
+    "MotionSettings": "multi_robot_slam.models.motion.MotionSettings",
+    "ObservationSet": "msg_defs.types.ObservationSet",
+    "Pipeline": "multi_robot_slam.pipeline.Pipeline",
+    "PoseSample": "msg_defs.types.PoseSample",
+    "RejuvenationSettings": "multi_robot_slam.filter.settings.RejuvenationSettings",
+    "Run": "multi_robot_slam.runs.Run",
+    "estimate": "multi_robot_slam.pipeline.offline.estimate",
+    "evaluate": "multi_robot_slam.runs.evaluate",
+    "events": "multi_robot_slam.pipeline.offline.events",
+    "load_run": "multi_robot_slam.runs.load",
+    "recorded_config": "multi_robot_slam.pipeline.offline.recorded_config",
 }
 
 __all__ = [
@@ -37,8 +42,11 @@ __all__ = [
     "BagWriter",
     "Config",
     "FilterSettings",
+    "InputError",
     "MotionSettings",
+    "ObservationSet",
     "Pipeline",
+    "PoseSample",
     "RejuvenationSettings",
     "Run",
     "estimate",
@@ -54,4 +62,4 @@ def __getattr__(name: str) -> Any:
     if name not in _PLACES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     room, _, own_name = _PLACES[name].rpartition(".")
-    return getattr(import_module(f"{__name__}.{room}"), own_name)
+    return getattr(import_module(room), own_name)

@@ -4,6 +4,7 @@ import time
 from contextlib import contextmanager
 
 import pytest
+from patience import PATIENCE_S
 
 rclpy = pytest.importorskip("rclpy")
 endpoints = pytest.importorskip("msg_defs.ros.endpoints")
@@ -42,10 +43,6 @@ class Listener(spin.EdgeNode):
             publisher.publish(data)
         self._outbox.clear()
         return 0.0
-
-
-PATIENCE_S = 100.0
-"""Also a machine with many busy processes does in it what a test waits for."""
 
 
 class Clock:

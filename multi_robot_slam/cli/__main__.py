@@ -2,4 +2,5 @@
 
 from multi_robot_slam.cli.main import main
 
-main()
+if __name__ == "__main__":
+    main()

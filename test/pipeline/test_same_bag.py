@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import recordings
 import worlds
+from patience import PATIENCE_S
 
 from msg_defs import topics, wire
 from msg_defs.types import PoseSample
@@ -94,7 +95,7 @@ def test_what_was_published_live_is_what_the_bag_gives_offline(spawn, tmp_path):
     scenario, out = tmp_path / "small.yaml", tmp_path / "out"
     scenario.write_text(SMALL)
     options = ("--scenario", scenario, "--robots", "2", "--speed", "0")
-    assert spawn(sys.executable, EXAMPLES / "spawn_team.py", out, *options).wait(60) == 0
+    assert spawn(sys.executable, EXAMPLES / "spawn_team.py", out, *options).wait(PATIENCE_S) == 0
     published = {}
     for record in BagReader(out / "bag"):
         published.setdefault(record.topic, []).append(record.data)

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import grimp
+from patience import PATIENCE_S
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("msg_defs", "sim_world", "multi_robot_slam")
@@ -42,7 +43,10 @@ def test_everything_but_the_edge_imports_without_ros():
     edge = set(EDGE).union(*map(graph.find_descendants, EDGE))
     modules = sorted(graph.modules - edge)
     result = subprocess.run(
-        [sys.executable, "-c", WITHOUT_ROS, *modules], capture_output=True, text=True, timeout=100
+        [sys.executable, "-c", WITHOUT_ROS, *modules],
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
     )
     assert result.returncode == 0, result.stderr
 

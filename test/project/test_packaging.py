@@ -12,6 +12,7 @@ import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import pytest
+from patience import PATIENCE_S
 
 ROOT = Path(__file__).parents[2]
 EXECUTABLES = [
@@ -47,7 +48,11 @@ def prefix(tmp_path_factory):
 
 def _run(*command, **options):
     finished = subprocess.run(
-        [str(word) for word in command], capture_output=True, text=True, timeout=100, **options
+        [str(word) for word in command],
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        **options,
     )
     assert finished.returncode == 0, finished.stdout + finished.stderr
     return finished.stdout
@@ -90,10 +95,10 @@ def test_node_comes_up_and_ends_cleanly(prefix, monkeypatch, spawn, tmp_path, pa
     process = spawn(path, cwd=tmp_path)
     assert _a_node_appears(process)
     process.terminate()
-    assert process.wait(20) == 0
+    assert process.wait(PATIENCE_S) == 0
 
 
-def _a_node_appears(process, timeout_s=30.0):
+def _a_node_appears(process, timeout_s=PATIENCE_S):
     import rclpy
 
     deadline = time.monotonic() + timeout_s
@@ -132,10 +137,22 @@ def test_every_module_and_data_file_is_installed(prefix, tmp_path):
                 assert (installed / file.relative_to(ROOT)).is_file()
 
 
-def test_package_xml_agrees_with_setup_cfg():
-    manifest = ElementTree.parse(ROOT / "package.xml").getroot()
+MANIFESTS = {"multi_robot_slam": "package.xml", "sim_world": "resource/share/sim_world/package.xml"}
+
+
+@pytest.mark.parametrize("package", MANIFESTS)
+def test_ros2_pkg_xml_finds_the_manifest(prefix, monkeypatch, package):
+    ament_index_python = pytest.importorskip("ament_index_python")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", str(prefix))
+    share = Path(ament_index_python.get_package_share_directory(package))
+    assert filecmp.cmp(share / "package.xml", ROOT / MANIFESTS[package], shallow=False)
+
+
+@pytest.mark.parametrize("package", MANIFESTS)
+def test_package_xml_agrees_with_setup_cfg(package):
+    manifest = ElementTree.parse(ROOT / MANIFESTS[package]).getroot()
     setup = configparser.ConfigParser()
     setup.read(ROOT / "setup.cfg")
-    assert manifest.findtext("name") == setup["metadata"]["name"]
+    assert manifest.findtext("name") == package
     assert manifest.findtext("version") == setup["metadata"]["version"]
     assert manifest.findtext("license") == setup["metadata"]["license"]

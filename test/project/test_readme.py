@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 import recordings
+from patience import PATIENCE_S
 
 from msg_defs import scenario_file
 from multi_robot_slam.config import SECTION, Config
@@ -54,7 +55,10 @@ def run(words):
         *arguments, _, output = arguments
     module = f"{program}.cli"
     result = subprocess.run(
-        [sys.executable, "-m", module, *arguments], capture_output=True, text=True, timeout=60
+        [sys.executable, "-m", module, *arguments],
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
     )
     assert result.returncode == 0, result.stderr
     if output:

@@ -162,8 +162,8 @@ def test_the_yardstick_loops_do_their_work():
         expected = expected * 0.5 + 0.5
     np.testing.assert_allclose(values, expected, rtol=1e-6)
     rates = machine.measure(working_set=100_000, passes=2)
-    assert 0 < rates.ns_per_byte < 100
-    assert 0 < rates.ns_per_operation < 100
+    assert rates.ns_per_byte > 0
+    assert rates.ns_per_operation > 0
 
 
 def test_bytes_are_counted_once_wherever_they_hang():

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import pytest
 import small_experiment
+from patience import PATIENCE_S
 
 from msg_defs.errors import InputError
 from multi_robot_slam.studies import experiments, scheduling
 
 SCRIPT = Path(small_experiment.__file__)
-LIMIT_S = 40.0
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +34,7 @@ def rows(folder):
 
 
 def wait_for(condition):
-    deadline = time.monotonic() + LIMIT_S
+    deadline = time.monotonic() + PATIENCE_S
     while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.02)
@@ -120,7 +120,7 @@ def test_cluster_that_loses_a_worker_gives_the_same_table(
     wait_for(lambda: rows(folder) > 0)
     workers[0].send_signal(signal.SIGKILL)
     assert rows(folder) < len(reference)
-    assert process.wait(LIMIT_S) == 0
+    assert process.wait(PATIENCE_S) == 0
     assert workers[1].poll() is None
     workers[1].kill()  # its goodbye to the scheduler would take seconds
     assert small_experiment.untimed(folder / "table.csv") == reference
