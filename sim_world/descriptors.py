@@ -128,7 +128,7 @@ def _describe(image: Path) -> np.ndarray:
     pixels = cv2.imread(os.fspath(image), cv2.IMREAD_GRAYSCALE)
     if pixels is None:
         raise InputError(f"cannot read {image} as an image; remove it from the list")
-    keypoints, descriptors = cv2.SIFT_create().detectAndCompute(pixels, None)
+    keypoints, descriptors = cv2.SIFT.create().detectAndCompute(pixels, None)
     if descriptors is None:
         return np.empty((0, DESCRIPTOR_SIZE), np.uint8)
     points = [(*point.pt, point.size) for point in keypoints]

@@ -1,9 +1,13 @@
 """Planar poses (x [m], y [m], yaw [rad]) and movements between them."""
 
+from typing import TypeVar
+
 import numpy as np
 
+Angle = TypeVar("Angle", float, np.ndarray)
 
-def wrap(angle: np.ndarray | float) -> np.ndarray | float:
+
+def wrap(angle: Angle) -> Angle:
     """The same angle [rad] in [-pi, pi)."""
     return (angle + np.pi) % (2 * np.pi) - np.pi
 

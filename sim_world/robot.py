@@ -1,8 +1,9 @@
 """One robot: it drives its true path, and reports noisy odometry and noisy observations."""
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Protocol
 
 import numpy as np
 
@@ -28,8 +29,12 @@ class RobotStep:
     observation_truth: ObservationTruth
 
 
-Path = Collection[np.ndarray]
-"""Poses (3,) in their order; an array (T, 3) is one."""
+class Path(Protocol):
+    """Poses (3,) in their order; an array (T, 3) is one."""
+
+    def __len__(self) -> int: ...
+
+    def __iter__(self) -> Iterator[np.ndarray]: ...
 
 
 def stamps_ns(count: int, period_s: float) -> range:

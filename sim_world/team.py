@@ -27,7 +27,7 @@ def team_scenario(
     path = scenario_file.find_scenario(name)
     sections = scenario_file.sections(scenario_file.read(path), str(path))
     world = scenario_file.from_mapping(Scenario, sections[SECTION], f"{path}: {SECTION}")
-    wanted = {"robots": robots, "laps": laps}
+    wanted: dict[str, float | None] = {"robots": robots, "laps": laps}
     if rate_hz is not None:
         movements = max(1, round(world.movements * world.period_s * rate_hz))
         wanted |= {"period_s": 1 / rate_hz, "movements": movements}

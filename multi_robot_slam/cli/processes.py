@@ -38,9 +38,9 @@ def record(folder: Path, scenario: Path, seed: int, speed: float) -> None:
     idle_s = max(IDLE_S, IDLE_PERIODS * world.period_s / speed if speed else 0.0)
     shared = f"scenario:={scenario}"
     pace = f"seed:={seed}", f"speed:={speed}", "subscribers:=2", "truth_subscribers:=1"
-    processes: list[Popen] = []
+    processes: list[Popen[bytes]] = []
 
-    def start(module: str, *parameters: str) -> Popen:
+    def start(module: str, *parameters: str) -> Popen[bytes]:
         processes.append(_spawn(module, *parameters))
         return processes[-1]
 
@@ -77,33 +77,39 @@ def _stops_noted() -> Iterator[list[int]]:
             signal.signal(number, handler)
 
 
-def _spawn(module: str, *parameters: str) -> Popen:
+def _spawn(module: str, *parameters: str) -> Popen[bytes]:
     """Start a node in a session of its own, where no Ctrl-C of the terminal reaches it."""
     arguments = [word for parameter in parameters for word in ("-p", parameter)]
     return Popen([sys.executable, "-m", module, "--ros-args", *arguments], start_new_session=True)
 
 
-def _wait(process: Popen, needed: list[Popen], stops: list[int]) -> str:
+def _wait(process: Popen[bytes], needed: list[Popen[bytes]], stops: list[int]) -> str:
     """Wait until `process` has ended well; what went wrong if it has not, else an empty string."""
     while process.poll() is None:
         if stops:
             return f"ended by {signal.Signals(stops[0]).name}"
         for other in needed:
             if other.poll() is not None:
-                return f"{other.args[2]} ended too early, with exit code {other.returncode}"
+                return f"{_module(other)} ended too early, with exit code {other.returncode}"
         time.sleep(0.02)
     code = process.returncode
-    return f"{process.args[2]} failed with exit code {code}" if code else ""
+    return f"{_module(process)} failed with exit code {code}" if code else ""
 
 
-def _end(processes: list[Popen]) -> None:
+def _module(process: Popen[bytes]) -> str:
+    """The module that `_spawn` started it with."""
+    words = process.args
+    return str(words[2]) if isinstance(words, list) else ""
+
+
+def _end(processes: list[Popen[bytes]]) -> None:
     """End all by their process ids: SIGINT, for the recorder (the first) when the others ended."""
     deadline_s = time.monotonic() + END_S
     _end_by(processes[1:], deadline_s - RECORDER_S)
     _end_by(processes[:1], deadline_s)
 
 
-def _end_by(processes: list[Popen], deadline_s: float) -> None:
+def _end_by(processes: list[Popen[bytes]], deadline_s: float) -> None:
     for process in processes:
         process.send_signal(signal.SIGINT)
     for process in processes:

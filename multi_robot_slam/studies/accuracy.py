@@ -8,6 +8,7 @@ from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -148,7 +149,7 @@ def _row(
 ) -> Row:
     run, pipeline = exploration.estimate(explored, filter_settings)
     figures = evaluation.evaluate(refinement.complete(run, pipeline, with_refined=True))
-    own = {
+    own: dict[str, Any] = {
         "filter": name,
         "robots": len(run.robots),
         "particles": filter_settings.particles,
@@ -160,14 +161,20 @@ def _row(
 
 
 def optimum_ratio(run: Run, optimum: Mapping[str, Trajectory]) -> float:
-    """RMS error of position of the published poses over that of the `optimum`, at its stamps."""
+    """RMS error of position of the published poses over that of the `optimum`, at its stamps.
+
+    Robots without ground truth are left out; NaN when none has any.
+    """
     published, best = [], []
     for name, path in optimum.items():
         robot = run.robots[name]
+        if robot.truth is None:
+            continue
         truth = at(robot.truth, path.stamps_ns)[:, :2]
         published.append(at(robot.online, path.stamps_ns)[:, :2] - truth)
         best.append(path.poses[:, :2] - truth)
-    return rmse(np.concatenate(published)) / rmse(np.concatenate(best))
+    error, least = (rmse(np.concatenate(e)) if e else None for e in (published, best))
+    return error / least if error is not None and least else np.nan
 
 
 def _early_ancestors(pipeline: Pipeline) -> int:

@@ -42,8 +42,8 @@ def report(rows: list[Row]) -> Group:
     caption = f"{', '.join(ONE_THREAD)} = 1; filter.threads = 1; processor time"
     table = Table(title=title, caption=caption, box=box.SIMPLE_HEAD, padding=0)
     for name in ("figure", "value", "unit", "target", "limit", "met"):
-        side = "left" if name in ("figure", "unit", "met") else "right"
-        table.add_column(name, justify=side, no_wrap=True)
+        is_number = name in ("value", "target", "limit")
+        table.add_column(name, justify="right" if is_number else "left", no_wrap=True)
     notes = []
     for row in rows:
         target = f"{TARGETS[row.name][1]} {row.target:g}"

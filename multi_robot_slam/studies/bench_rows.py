@@ -8,6 +8,7 @@ import gc
 import os
 import subprocess
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -217,7 +218,7 @@ def _time_in_fresh_process(code: str) -> float:
 def _worst(values: dict[str, list[float]]) -> tuple[str, str]:
     medians = {proposal: np.median(values[proposal]) for proposal in values}
     note = ", ".join(f"{proposal} {median:.3g}" for proposal, median in medians.items())
-    return max(medians, key=medians.get), note
+    return max(medians, key=lambda proposal: medians[proposal]), note
 
 
 def _speedup(name: str, result: rivals.Comparison, least_s: float, note: str) -> Row:
@@ -225,7 +226,13 @@ def _speedup(name: str, result: rivals.Comparison, least_s: float, note: str) ->
     return _row(name, np.divide(result.rival, result.fast), limit, note)
 
 
-def _row(name: str, values, limit: float, note: str, value: float | None = None) -> Row:
+def _row(
+    name: str,
+    values: Sequence[float] | np.ndarray,
+    limit: float,
+    note: str,
+    value: float | None = None,
+) -> Row:
     unit, direction, target = TARGETS[name]
     value = float(np.median(values) if value is None else value)
     met = value <= target if direction == "<=" else value >= target

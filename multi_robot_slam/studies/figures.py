@@ -15,9 +15,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter
+from matplotlib.typing import LineStyleType
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
+from mpl_toolkits.mplot3d.axes3d import Axes3D
 
-from msg_defs.types import CameraMount, ObservationSet
+from msg_defs.types import CameraMount, ObservationSet, Walls
 from multi_robot_slam.models import stereo
 from multi_robot_slam.report import plots
 from multi_robot_slam.report.plots import DPI
@@ -30,7 +32,10 @@ MARKERS = {1: "o", 2: "s", 3: "^"}
 LINES = {"motion": "-", "informed": "--"}
 """Proposal -> line style."""
 PROPOSALS = {"motion": "paper's proposal", "informed": "informed proposal"}
-REFERENCES = {"odometry_path_rmse_m": (":", "odometry"), "batch_path_rmse_m": ("-.", "batch")}
+REFERENCES: dict[str, tuple[LineStyleType, str]] = {
+    "odometry_path_rmse_m": (":", "odometry"),
+    "batch_path_rmse_m": ("-.", "batch"),
+}
 PATH, MAP = "path_rmse_m", "map_rmse_m"
 SPREAD = 0.04
 """Shift between the lines of a panel, so that their bars do not hide each other."""
@@ -87,16 +92,21 @@ def draw(figure: str, rows: Rows) -> Figure:
     return sheet
 
 
+Curves = dict[tuple[int, str], dict[float, list[float]]]
+"""Robots and name of a curve -> x -> values."""
+
+
 def _draw_panel(axes: Axes, panel: Panel, runs: dict[Trial, Result], x_name: str) -> None:
-    lines = defaultdict(lambda: defaultdict(list))
-    references = defaultdict(lambda: defaultdict(list))
+    lines: Curves = defaultdict(lambda: defaultdict(list))
+    references: Curves = defaultdict(lambda: defaultdict(list))
     for trial, result in runs.items():
         value, x = panel.value(trial, result), getattr(trial, x_name)
         if panel.keep(trial) and value is not None:
             lines[trial.robots, trial.proposal][x].append(value)
         for name in REFERENCES if panel.has_references else ():
-            if result[name] is not None:
-                references[trial.robots, name][x].append(result[name])
+            reference = result[name]
+            if reference is not None:
+                references[trial.robots, name][x].append(reference)
     _scale(axes, panel, runs, x_name)
     for place, ((robots, proposal), points) in enumerate(sorted(lines.items(), reverse=True)):
         x, mean, sigma = summary(points)
@@ -264,8 +274,10 @@ def view(true_pose: np.ndarray, seen: ObservationSet, mount: CameraMount) -> Vie
 def world_figure(run: Run, views: list[View]) -> Figure:
     """The walls, the true landmarks and what the robots observe (paper fig. 3(a))."""
     sheet = Figure((10.0, 9.0), layout="constrained")
-    axes = sheet.add_subplot(projection="3d")
-    _draw_walls(axes, run)
+    if run.walls is None or run.true_landmarks is None:
+        raise ValueError("the run knows no world: it is not of a simulation")
+    axes: Axes3D = sheet.add_subplot(projection="3d")
+    _draw_walls(axes, run.walls)
     axes.scatter(*run.true_landmarks.positions.T, marker="*", s=16, color="#555555", linewidths=0)
     for colour, robot, seen in zip(ROBOT_COLOURS, run.robots, views, strict=False):
         sights = [[seen.eye, point] for point in seen.points]
@@ -280,16 +292,16 @@ def world_figure(run: Run, views: list[View]) -> Figure:
     return sheet
 
 
-def _draw_walls(axes: Axes, run: Run) -> None:
-    height = run.walls.height_m
+def _draw_walls(axes: Axes3D, walls: Walls) -> None:
+    height = walls.height_m
     faces = [
         [(x0, y0, 0), (x1, y1, 0), (x1, y1, height), (x0, y0, height)]
-        for x0, y0, x1, y1 in run.walls.segments
+        for x0, y0, x1, y1 in walls.segments
     ]
     axes.add_collection3d(
         Poly3DCollection(faces, facecolors="#DADADA", edgecolors="#B0B0B0", alpha=0.25)
     )
-    ends = run.walls.segments.reshape(-1, 2)
+    ends = walls.segments.reshape(-1, 2)
     axes.set(xlim=(ends[:, 0].min(), ends[:, 0].max()), ylim=(ends[:, 1].min(), ends[:, 1].max()))
     axes.set_zlim(0, height)
 
@@ -300,7 +312,8 @@ def map_figure(run: Run, particles: dict[str, np.ndarray]) -> Figure:
     (axes,) = sheet.axes
     for colour, cloud in zip(ROBOT_COLOURS, particles.values(), strict=False):
         axes.plot(*cloud[:, :2].T, ".", markersize=3, color=colour, alpha=0.5, zorder=7)
-    handles = [*axes.get_legend().legend_handles]
+    legend = axes.get_legend()
+    handles = [] if legend is None else [*legend.legend_handles]
     handles.append(Line2D([], [], marker=".", linestyle="", color="#222222", label="particles"))
     axes.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False)
     return sheet

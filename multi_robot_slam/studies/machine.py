@@ -3,11 +3,13 @@
 import ast
 import inspect
 import textwrap
+from collections.abc import Callable
 from time import process_time
 from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
+from numba.core.dispatcher import Dispatcher
 
 MULTIPLY_ADDS = 16
 """In `multiply_add`, per element and pass."""
@@ -35,14 +37,14 @@ def measure(working_set: int, passes: int = 30) -> Rates:
 
 
 @njit(cache=True)
-def copy(source, target):
+def copy(source: np.ndarray, target: np.ndarray) -> None:
     """A copy loop."""
     for i in range(source.size):
         target[i] = source[i]
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def multiply_add(values, a, repeats):
+def multiply_add(values: np.ndarray, a: np.float32, repeats: int) -> None:
     """Sixteen multiply-adds for each of a few values that stay in the first-level cache."""
     for _ in range(repeats):
         for i in range(values.size):
@@ -65,7 +67,7 @@ def multiply_add(values, a, repeats):
             values[i] = x * a + a
 
 
-def operations(kernel: Any) -> int:
+def operations(kernel: Dispatcher) -> int:
     """Additions, multiplications and divisions in the loops of a compiled function's source.
 
     Those of compiled functions that are called there, and have no loop themselves, count too.
@@ -75,7 +77,7 @@ def operations(kernel: Any) -> int:
     return sum(_arithmetic(statement, known) for loop in loops for statement in loop.body)
 
 
-def _tree(kernel: Any) -> ast.AST:
+def _tree(kernel: Dispatcher) -> ast.AST:
     return ast.parse(textwrap.dedent(inspect.getsource(kernel.py_func)))
 
 
@@ -90,7 +92,7 @@ def _arithmetic(node: ast.AST, known: dict[str, Any]) -> int:
     return own + sum(_arithmetic(child, known) for child in ast.iter_child_nodes(node))
 
 
-def _fastest(run, passes: int) -> float:
+def _fastest(run: Callable[[], object], passes: int) -> float:
     run()
     times = []
     for _ in range(passes):

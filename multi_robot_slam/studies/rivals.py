@@ -5,6 +5,7 @@ import importlib.util
 from collections.abc import Iterable
 from pathlib import Path
 from time import process_time
+from types import ModuleType
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy as np
 from msg_defs.errors import InputError
 from multi_robot_slam.filter import rbpf
 from multi_robot_slam.models import stereo
+from multi_robot_slam.models.frames import RobotFrame
 from multi_robot_slam.studies import textbook
 from multi_robot_slam.studies.session import SPEED, Session, require
 
@@ -93,7 +95,7 @@ def against_textbook(session: Session, particles: int, seeds: Iterable[int]) -> 
         rival.append((process_time() - start) / (particles * observations))
         clock, info = session.process(frames, np.random.default_rng(seed))
         proposals = [clock.proposal - clock.gather for clock in [*times, clock]]
-        fast.append(np.median(proposals) / (session.settings.particles * observations))
+        fast.append(float(np.median(proposals)) / (session.settings.particles * observations))
         for choice, seen in zip(choices, info.frames, strict=True):
             for m, indices in enumerate(choice):
                 for index, new, match in zip(
@@ -104,7 +106,7 @@ def against_textbook(session: Session, particles: int, seeds: Iterable[int]) -> 
     return Comparison(rival, fast, require(np.mean(same), "matches like the textbook's"))
 
 
-def _time_on_copies(session: Session, frames, seed: int) -> float:
+def _time_on_copies(session: Session, frames: list[RobotFrame], seed: int) -> float:
     times = []
     for _ in range(FAST_STEPS):
         state, rng = copy.deepcopy(session.state), np.random.default_rng(seed)
@@ -114,7 +116,9 @@ def _time_on_copies(session: Session, frames, seed: int) -> float:
     return float(np.median(times))
 
 
-def _particle(state: rbpf.State, m: int):
+def _particle(
+    state: rbpf.State, m: int
+) -> tuple[list[np.ndarray], list[tuple[int, tuple[np.ndarray, np.ndarray, np.ndarray]]]]:
     """Poses and landmarks of particle m: (K, 3), and pairs of id and (mean, Sigma, d)."""
     columns, values = state.landmarks.of_particle(m)
     sigmas = stereo.unpack(values[:, 3:])
@@ -124,7 +128,7 @@ def _particle(state: rbpf.State, m: int):
     return list(state.poses[:, :, m]), list(zip(ids, filters, strict=True))
 
 
-def _literal_copies(literal, state: rbpf.State) -> list:
+def _literal_copies(literal: ModuleType, state: rbpf.State) -> list:
     copies = []
     for m in range(state.poses.shape[2]):
         poses, landmarks = _particle(state, m)
@@ -144,9 +148,11 @@ def _textbook_copies(state: rbpf.State, count: int) -> tuple[list, list[list[int
     return copies, ids
 
 
-def _load_literal():
+def _load_literal() -> ModuleType:
     check_literal()
     spec = importlib.util.spec_from_file_location(LITERAL.stem, LITERAL)
+    if spec is None or spec.loader is None:
+        raise ImportError(f"cannot load {LITERAL}")
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module

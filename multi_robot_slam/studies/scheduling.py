@@ -99,8 +99,8 @@ def _one_thread_each() -> Iterator[None]:
 def _end_with_parent() -> None:
     """Make this process end when its parent does, or at Ctrl-C, without a word."""
     signal.signal(signal.SIGINT, signal.SIG_DFL)
-    parent = multiprocessing.parent_process().sentinel
-    threading.Thread(target=_exit_after, args=(parent,), daemon=True).start()
+    if parent := multiprocessing.parent_process():
+        threading.Thread(target=_exit_after, args=(parent.sentinel,), daemon=True).start()
 
 
 def _exit_after(sentinel: int) -> None:

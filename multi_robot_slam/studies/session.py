@@ -1,8 +1,9 @@
 """One filter on the benchmark's world: runs steps, times their parts, checks what was matched."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from time import process_time
-from typing import NamedTuple
+from typing import Any, NamedTuple, TypeVar
 from unittest.mock import patch
 
 import numpy as np
@@ -23,6 +24,9 @@ LAST = 150
 
 LEAST_RIGHT = 0.95
 """Share of right matches below which a run is no workload."""
+
+
+Name = TypeVar("Name")
 
 
 class Clock(NamedTuple):
@@ -99,7 +103,7 @@ class Session:
         Right is a landmark that the same true one created, or a new one for a true one never
         observed before. A share below LEAST_RIGHT is an error.
         """
-        return require(np.mean(self._right), "right matches")
+        return require(float(np.mean(self._right)), "right matches")
 
     def _judge(self, info: rbpf.StepInfo) -> None:
         known = self.world.seen_before
@@ -116,11 +120,11 @@ class Session:
             self._right.append(right.mean())
 
 
-def take_turns(sessions: dict[str, Session], steps: int) -> dict[str, list[Clock]]:
+def take_turns(sessions: dict[Name, Session], steps: int) -> dict[Name, list[Clock]]:
     """So many steps of every session, one after the other, after one that does not count."""
     for session in sessions.values():
         session.step()
-    clocks = {name: [] for name in sessions}
+    clocks: dict[Name, list[Clock]] = {name: [] for name in sessions}
     for _ in range(steps):
         for name, session in sessions.items():
             clocks[name].append(session.step())
@@ -137,11 +141,11 @@ def require(share: float, what: str) -> float:
 class _Timer:
     """A function that adds up how long its calls take [s]."""
 
-    def __init__(self, function):
+    def __init__(self, function: Callable) -> None:
         self._function = function
         self.seconds = 0.0
 
-    def __call__(self, *args, **kwargs):
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
         start = process_time()
         result = self._function(*args, **kwargs)
         self.seconds += process_time() - start

@@ -8,7 +8,7 @@ usual margins of 0.8 and 1.25. p values are not corrected for the number of test
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -111,7 +111,7 @@ def matrix(runs: Runs, value: Value, condition: str) -> tuple[list[float], np.nd
 
 def findings(rows: Rows) -> list[Finding]:
     """Every statement, tested as far as the table has its figure."""
-    found = []
+    found: list[Finding] = []
     for figure, check in CHECKS.items():
         runs = {trial: result for (name, trial), result in rows.items() if name == figure}
         found += check(runs) if runs else []
@@ -147,8 +147,12 @@ def _split(runs: Runs, *names: str) -> Iterator[tuple[str, Runs]]:
     for trial in sorted(runs):
         groups.setdefault(tuple(getattr(trial, n) for n in names), {})[trial] = runs[trial]
     for key, group in sorted(groups.items(), key=lambda item: str(item[0])):
-        words = {"proposal": PROPOSALS.get, "robots": lambda k: f"K = {k}"}
-        yield ", ".join(words[n](value) for n, value in zip(names, key, strict=True)), group
+        yield ", ".join(_word(n, value) for n, value in zip(names, key, strict=True)), group
+
+
+def _word(name: str, value: Any) -> str:
+    """A column's value in the description of a case."""
+    return f"K = {value}" if name == "robots" else PROPOSALS[value]
 
 
 def _trends(
@@ -193,14 +197,18 @@ def _ends(conditions: Sequence[float], data: np.ndarray) -> str:
     return ", ".join(f"{conditions[i]:g}: {_mean(data[:, i]):.3g}" for i in (0, -1))
 
 
-def _mean(values: Sequence[float]) -> float:
+def _mean(values: Sequence[float] | np.ndarray) -> float:
     """The geometric mean; NaN of nothing."""
     with np.errstate(divide="ignore"):
         return float(np.exp(np.mean(np.log(values)))) if len(values) else np.nan
 
 
-def _relative(trial: Trial, result: Result) -> float:
-    return result["path_rmse_m"] / result["odometry_path_rmse_m"]
+def _relative(trial: Trial, result: Result) -> float | None:
+    return _ratio(result["path_rmse_m"], result["odometry_path_rmse_m"])
+
+
+def _ratio(value: float | None, to: float | None) -> float | None:
+    return None if value is None or to is None else value / to
 
 
 def _fig4(runs: Runs) -> Iterator[Finding]:
@@ -261,7 +269,7 @@ def _growth(runs: Runs, least: float) -> Runs:
         calm = runs.get(replace(trial, descriptor_noise=least))
         if calm is not None and trial.descriptor_noise > least:
             names = ("path_rmse_m", "map_rmse_m")
-            grown[trial] = {name: result[name] / calm[name] for name in names}
+            grown[trial] = {name: _ratio(result[name], calm[name]) for name in names}
     return grown
 
 

@@ -84,7 +84,15 @@ def base_link(pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return rotation, np.array([pose[0], pose[1], 0.0])
 
 
-def associate(landmarks, rotation, position, v, R, d, settings) -> int | None:
+def associate(
+    landmarks: list[Landmark],
+    rotation: np.ndarray,
+    position: np.ndarray,
+    v: np.ndarray,
+    R: np.ndarray,
+    d: np.ndarray,
+    settings: FilterSettings,
+) -> int | None:
     """Index of the landmark an observation is of; None: of none in the map."""
     best, least = None, settings.descriptor_gate
     for n, landmark in enumerate(landmarks):
@@ -98,13 +106,17 @@ def associate(landmarks, rotation, position, v, R, d, settings) -> int | None:
     return best
 
 
-def innovate(landmark, rotation, position, v, R) -> tuple[np.ndarray, np.ndarray]:
+def innovate(
+    landmark: Landmark, rotation: np.ndarray, position: np.ndarray, v: np.ndarray, R: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """Innovation (3,) and its covariance Z (3, 3), in `base_link` (8)-(10)."""
     H = rotation.T
     return v - H @ (landmark.mean - position), H @ landmark.covariance @ H.T + R
 
 
-def correct(landmark, rotation, position, v, R) -> float:
+def correct(
+    landmark: Landmark, rotation: np.ndarray, position: np.ndarray, v: np.ndarray, R: np.ndarray
+) -> float:
     """Kalman update (11)-(13) of a landmark, in place; returns the log weight (16)."""
     innovation, Z = innovate(landmark, rotation, position, v, R)
     H, inverse = rotation.T, np.linalg.inv(Z)
@@ -114,7 +126,9 @@ def correct(landmark, rotation, position, v, R) -> float:
     return log_likelihood(innovation @ inverse @ innovation, Z)
 
 
-def create(rotation, position, v, R, d) -> Landmark:
+def create(
+    rotation: np.ndarray, position: np.ndarray, v: np.ndarray, R: np.ndarray, d: np.ndarray
+) -> Landmark:
     """A landmark where an observation puts it."""
     return Landmark(position + rotation @ v, rotation @ R @ rotation.T, d)
 
