@@ -102,6 +102,18 @@ def test_version_is_that_of_the_package(command):
     assert (code, told) == (0, f"multi_robot_slam {metadata.version('multi_robot_slam')}\n")
 
 
+@pytest.mark.parametrize("study", ["experiment", "accuracy", "real", "bench"])
+def test_every_study_takes_its_first_seed(command, study):
+    code, told, _ = command("study", study, "--help")
+    assert code == 0
+    assert "--first-seed" in told
+
+
+@pytest.mark.parametrize("former", ["experiment", "accuracy", "real"])
+def test_studies_are_in_their_group_alone(command, former):
+    assert command(former, "--help")[0] == 2
+
+
 def completed(monkeypatch, capfd, *words):
     """What a shell would offer for the last of the words."""
     monkeypatch.setenv("_MULTI_ROBOT_SLAM_COMPLETE", "complete_bash")

@@ -3,6 +3,7 @@
 import functools
 import re
 import sys
+from importlib import metadata
 from types import ModuleType
 
 import cv2
@@ -91,7 +92,8 @@ def test_robots_without_ros_says_what_is_missing(sim_world, monkeypatch):
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        ([], ["descriptors", "robots"]),
+        ([], ["descriptors", "robots", "generate"]),
+        (["generate"], ["--robots", "--seed", "--rate", "--laps", "--out", "75 s"]),
         (["descriptors"], ["IMAGES", "--out", "descriptor_database"]),
         (["robots"], ["--ros-args", "scenario:="]),
     ],
@@ -101,6 +103,11 @@ def test_help_teaches(sim_world, words, told):
     assert code == 0
     plain = re.sub(r"\x1b\[[0-9;]*m", "", out)
     assert all(word in plain for word in told)
+
+
+def test_version_is_that_of_the_package(sim_world):
+    code, told, _ = sim_world("--version")
+    assert (code, told) == (0, f"multi_robot_slam {metadata.version('multi_robot_slam')}\n")
 
 
 def test_wrong_words_end_with_code_2(sim_world):

@@ -39,6 +39,23 @@ def rows(base, folder):
     return accuracy.study(folder, base, SEEDS, PARTICLES, here)
 
 
+def test_the_seeds_asked_for_are_those_of_the_rows(base, tmp_path):
+    def fake(function, jobs):
+        for job in jobs:
+            yield job, [fake_row(name, job.robots, m, job.seed) for name, m in job.runs]
+
+    rows = accuracy.study(tmp_path, base, range(7, 9), PARTICLES, fake)
+    assert {row.seed for row in rows} == {7, 8}
+    more = accuracy.study(tmp_path, base, range(8, 10), PARTICLES, fake)
+    assert {row.seed for row in more} == {8, 9}
+    assert len(accuracy_table.opened(tmp_path / "accuracy.csv").rows) == 3 * len(rows) // 2
+
+
+def fake_row(name, robots, particles, seed):
+    rest = dict.fromkeys(accuracy_table.COLUMNS[4:], 1.0)
+    return Row(name, robots, particles, seed, **rest | {"ancestors": 1})
+
+
 def test_one_row_for_each_run_in_a_fixed_order(rows):
     keys = [(row.filter, row.robots, row.particles, row.seed) for row in rows]
     assert keys == [(p, k, 20, 0) for p in ("informed", "motion") for k in (1, 2, 3)]

@@ -69,6 +69,13 @@ def test_the_workload_is_matched_right_and_makes_the_map_it_promises(proposal):
     assert team.size() > known  # some landmarks are new, also while time is taken
 
 
+def test_another_seed_is_another_world():
+    teams = [Session(40, 1, 20, 5, "informed", seed) for seed in (0, 0, 1)]
+    one, same, other = (team.state.poses[0, 0] for team in teams)
+    np.testing.assert_array_equal(one, same)
+    assert (one != other).any()
+
+
 def test_a_run_that_matches_wrongly_is_no_benchmark():
     team = Session(60, robots=1, particles=50, observations=10, proposal="informed")
     team.world._descriptors = np.roll(team.world._descriptors, 1, axis=0)
