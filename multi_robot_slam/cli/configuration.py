@@ -1,7 +1,9 @@
 """The configuration of a run: the bag's, a scenario's, and what single settings override."""
 
 from collections.abc import Callable, Mapping
+from itertools import chain
 from pathlib import Path
+from typing import NamedTuple
 
 from msg_defs import scenario_file, topics
 from msg_defs.errors import InputError
@@ -15,10 +17,21 @@ OF_EACH_ROBOT = ("start_poses", "mounts")
 """Those of them with one entry for each robot, in the order of `robots`; `mounts` may be empty."""
 
 
+class Recording(NamedTuple):
+    """What to estimate from."""
+
+    bag: Path
+    namespace: str | None = None
+    """In which the team was recorded; by default the only one."""
+
+
 def of_run(
-    bag: Path, scenario: str | None, overrides: Mapping, warn: Callable[[str], None]
+    recording: Recording,
+    scenario: str | None,
+    overrides: Mapping,
+    warn: Callable[[str], None],
 ) -> Config:
-    """How to estimate from `bag`.
+    """How to estimate from a recording.
 
     `overrides` win over `scenario`, and what these two state explicitly wins over the configuration
     in the bag. Of what a scenario leaves out, the facts about the robots (`OF_THE_RECORDING`) are
@@ -30,7 +43,8 @@ def of_run(
         only the bag's own configuration names is told to `warn`.
 
     """
-    recorded = offline.recorded_config(bag)
+    bag, namespace = recording
+    recorded = offline.recorded_config(bag, namespace)
     if scenario is None and recorded is None:
         raise InputError(
             f"{bag} carries no configuration on /{topics.FUSION_CONFIG.name}, its topics are "
@@ -43,7 +57,7 @@ def of_run(
         known = {name: value for name, value in known.items() if name in OF_THE_RECORDING}
     values = merged(_for_robots(known, stated, bag), stated)
     config = scenario_file.from_mapping(Config, values, source)
-    _check_robots(bag, config, "robots" in stated, warn)
+    _check_robots(recording, config, "robots" in stated, warn)
     return config
 
 
@@ -84,15 +98,19 @@ def _for_robots(known: Mapping, stated: Mapping, bag: Path) -> dict:
     return own
 
 
-def _check_robots(bag: Path, config: Config, are_stated: bool, warn: Callable[[str], None]) -> None:
+def _check_robots(
+    recording: Recording, config: Config, are_stated: bool, warn: Callable[[str], None]
+) -> None:
     """Make sure that the bag has something of every robot; of none is told when it is read."""
-    reader = BagReader(bag)
+    reader = BagReader(recording.bag)
     recorded = {topic.name for topic in reader.summary.topics}
+    expected = {r: [topics.odometry(r), topics.observations(r)] for r in config.robots}
+    where = reader.find_namespace([*chain(*expected.values())], recording.namespace)
     absent = {}
-    for robot in config.robots:
-        expected = [absolute(of(robot).name) for of in (topics.odometry, topics.observations)]
-        if missing := [name for name in expected if name not in recorded]:
-            absent[robot] = f"{bag} has no {' and no '.join(missing)}"
+    for robot, inputs in expected.items():
+        names = [absolute(topic.name, where) for topic in inputs]
+        if missing := [name for name in names if name not in recorded]:
+            absent[robot] = f"{recording.bag} has no {' and no '.join(missing)}"
     for robot, what in absent.items():
         if are_stated:
             raise InputError(

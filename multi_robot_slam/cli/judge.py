@@ -5,11 +5,11 @@ from typing import Annotated
 
 import typer
 
-from multi_robot_slam.cli.options import RunFolder, RunFolders
+from multi_robot_slam.cli.options import Namespace, RunFolder, RunFolders
 from multi_robot_slam.cli.terminal import console, messages
 
 
-def evaluate(folder: RunFolder) -> None:
+def evaluate(folder: RunFolder, namespace: Namespace = None) -> None:
     """Judge a run, live or offline, against the ground truth in its bag.
 
     Prints tables and writes result.json, figures.csv, trajectories and pictures into DIR. Errors
@@ -20,11 +20,11 @@ def evaluate(folder: RunFolder) -> None:
     from multi_robot_slam.pipeline import offline
 
     with messages.status(f"Reading {folder}"):
-        result = offline.load(folder)
+        result = offline.load(folder, namespace)
     results.finish(result, folder)
 
 
-def report(folder: RunFolder) -> None:
+def report(folder: RunFolder, namespace: Namespace = None) -> None:
     """Draw a run, live or offline, as a page to explore: DIR/report.html.
 
     The building in three dimensions with the robots where they were at any time, errors and their
@@ -36,7 +36,7 @@ def report(folder: RunFolder) -> None:
     from multi_robot_slam.runs import evaluation
 
     with messages.status(f"Reading {folder}"):
-        result = offline.load(folder)
+        result = offline.load(folder, namespace)
     results.draw(result, evaluation.evaluate(result), folder)
 
 
@@ -68,6 +68,7 @@ def export(
     folder: RunFolder,
     to: Annotated[str, typer.Option("--to", help="tum, g2o or ply.", autocompletion=_formats)],
     out: Annotated[Path, typer.Option(help="File to write; with tum, a folder.")],
+    namespace: Namespace = None,
 ) -> None:
     """Write map and paths of a run for other programs, and say what these cannot hold.
 
@@ -78,6 +79,6 @@ def export(
     from multi_robot_slam.runs import exports
 
     with messages.status(f"Reading {folder}"):
-        lines = exports.export(runs.load(folder), to, out)
+        lines = exports.export(runs.load(folder, namespace), to, out)
     for line in [*lines, f"Everything is in {out}"]:
         console.print(line, markup=False)

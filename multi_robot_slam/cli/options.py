@@ -35,6 +35,12 @@ RunFolder = Annotated[
 RunFolders = Annotated[
     list[Path], typer.Argument(metavar="DIR...", help="Folders of runs.", autocompletion=_runs)
 ]
+Namespace = Annotated[
+    str | None,
+    typer.Option(
+        help="In which the team was recorded, such as /fleet. Default: the only one in the bag."
+    ),
+]
 BagOut = Annotated[Path, typer.Option(help="Bag to write; it must not exist yet.")]
 FrameRate = Annotated[
     float, typer.Option(min=0.01, max=100, help="Frames of each robot in a second [Hz].")

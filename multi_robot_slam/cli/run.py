@@ -1,5 +1,6 @@
 """`demo` and `run`: a new run, from simulated robots or from a bag."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -7,7 +8,7 @@ import typer
 
 from msg_defs import cli
 from multi_robot_slam.cli import overrides
-from multi_robot_slam.cli.options import OtherScenario, Out, Robots, ScenarioName, Seed
+from multi_robot_slam.cli.options import Namespace, OtherScenario, Out, Robots, ScenarioName, Seed
 from multi_robot_slam.cli.terminal import counter, warn
 
 
@@ -23,6 +24,7 @@ def demo(
     Leaves a bag, the configuration, result.json, trajectories, the map, pictures and report.html,
     a page to explore them, in runs/<time>, with a link runs/latest.
     """
+    from multi_robot_slam import runs
     from multi_robot_slam.cli import folders, processes, results, simulated
     from multi_robot_slam.pipeline import offline
 
@@ -31,7 +33,7 @@ def demo(
     with folders.new_folder(out) as folder:
         (folder / "scenario.yaml").write_text(text)
         processes.record(folder, folder / "scenario.yaml", seed, speed)
-        result = offline.load(folder)
+        result = replace(offline.load(folder), provenance=runs.here(scenario))
         results.draw(result, results.finish(result, folder), folder)
 
 
@@ -52,6 +54,7 @@ def run(
         int | None, typer.Option(min=1, help="Number of particles M: filter.particles.")
     ] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Seed of the filter: seed.")] = None,
+    namespace: Namespace = None,
     refine: Annotated[
         bool, typer.Option("--refine", help="Then smooth over the best particle's associations.")
     ] = False,
@@ -64,7 +67,8 @@ def run(
     words = list(set_ or ())
     words += [f"filter.particles={particles}"] if particles is not None else []
     words += [f"seed={seed}"] if seed is not None else []
-    config = configuration.of_run(bag, scenario, overrides.parse(words), warn)
+    recording = configuration.Recording(bag, namespace)
+    config = configuration.of_run(recording, scenario, overrides.parse(words), warn)
     with folders.new_folder(out) as folder:
         with counter("steps") as progress:
             task = progress.add_task(f"{bag}", total=None)
@@ -74,6 +78,8 @@ def run(
                 warn=warn,
                 on_step=lambda step: progress.update(task, completed=step.step),
                 refine=refine,
+                namespace=namespace,
+                scenario=scenario,
             )
         runs.write_estimates(result, folder)
         results.finish(result, folder)

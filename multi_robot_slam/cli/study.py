@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from msg_defs.errors import InputError
-from multi_robot_slam.cli.options import FirstSeed, Out
+from multi_robot_slam.cli.options import FirstSeed
 from multi_robot_slam.cli.terminal import console, countdown, counter, messages
 
 app = typer.Typer(
@@ -143,30 +143,30 @@ def real(
     seeds: Annotated[int, typer.Option(min=1, help="Runs of each set-up.")] = 10,
     particles: Annotated[int, typer.Option(min=1, help="Number of particles M.")] = 500,
     first_seed: FirstSeed = 0,
-    out: Out = None,
+    out: Annotated[
+        Path, typer.Option(help="Folder of the table; rows it has are not computed again.")
+    ] = Path("runs/real"),
 ) -> None:
     """How well the filter locates real robots: together, with and without sightings, and alone.
 
     Prints and writes mean and spread over seeds of real.csv, for the filter with rejuvenation and
-    for both proposals without it, beside odometry and least squares with the true identities.
+    for both proposals without it, beside odometry and least squares with the true identities. Rows
+    are written as they finish: an interrupted study goes on where it stopped.
     """
-    from multi_robot_slam.cli.folders import new_folder
-    from multi_robot_slam.studies import real_robots, scheduling
+    from multi_robot_slam.studies import real_robots, real_table, scheduling
 
-    with new_folder(out) as target:
-        with counter("runs") as progress:
-            task = progress.add_task(f"{folder}", total=None)
-            rows = real_robots.study(
-                folder,
-                target,
-                range(first_seed, first_seed + seeds),
-                particles,
-                scheduling.local,
-                lambda done, total: progress.update(task, completed=done, total=total),
-            )
-        real_robots.write(rows, target)
-    typer.echo(real_robots.markdown(rows))
-    console.print(f"Everything is in {target}", markup=False)
+    with counter("runs") as progress:
+        task = progress.add_task(f"{folder}", total=None)
+        rows = real_robots.study(
+            folder,
+            out,
+            range(first_seed, first_seed + seeds),
+            particles,
+            scheduling.local,
+            lambda done, total: progress.update(task, completed=done, total=total),
+        )
+    typer.echo(real_table.markdown(rows))
+    console.print(f"Everything is in {out}", markup=False)
 
 
 @app.command()

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
-from typing import get_type_hints
 
 import numpy as np
 
@@ -40,7 +39,7 @@ class Row:
 
 
 COLUMNS = tuple(field.name for field in fields(Row))
-TYPES = tuple(get_type_hints(Row)[name] for name in COLUMNS)
+TYPES = table.types_of(Row)
 Key = tuple[str, int, int, int]
 """Filter, robots, particles, seed: the first columns."""
 

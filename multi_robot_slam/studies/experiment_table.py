@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import astuple, dataclass, fields
 from pathlib import Path
-from typing import get_type_hints
 
 from msg_defs.errors import InputError
 from multi_robot_slam.studies import table
@@ -41,7 +40,7 @@ TIMING = "step_ms_mean"
 """The one column that differs when a run is repeated."""
 TRIAL = tuple(field.name for field in fields(Trial))
 COLUMNS = ("figure", *TRIAL, *RESULTS)
-TYPES = (str, *(get_type_hints(Trial)[name] for name in TRIAL), *[float] * len(RESULTS))
+TYPES = (str, *table.types_of(Trial), *[float] * len(RESULTS))
 
 
 def to_line(key: Key, result: Mapping[str, float | None]) -> str:

@@ -86,7 +86,7 @@ def _result(
     explored: Exploration, batch: dict[str, Trajectory], base: Base, trial: Trial
 ) -> Result:
     run, _ = exploration.estimate(explored, exploration.filter_of(base, trial))
-    figures = evaluation.evaluate(run.with_paths(batch=batch))
+    figures = evaluation.evaluate(run.with_paths(yardstick=batch))
     return {name: figures[name] for name in RESULTS}
 
 

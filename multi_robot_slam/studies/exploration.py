@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from msg_defs.types import LandmarkMap, Trajectory, Walls
+from multi_robot_slam import runs
 from multi_robot_slam.config import Config
 from multi_robot_slam.filter.settings import FilterSettings
-from multi_robot_slam.pipeline import refinement
+from multi_robot_slam.pipeline import offline, refinement
 from multi_robot_slam.pipeline.pipeline import Pipeline
-from multi_robot_slam.runs import run as runs
 from multi_robot_slam.studies.experiment_table import Trial
 from sim_world.scenario import Scenario
 from sim_world.simulator import RobotStep, Simulation
@@ -74,21 +74,14 @@ def estimate(
     )
     pipeline = Pipeline(config)
     pipeline.warm_up()
-    steps = []
-    for instant in exploration.instants:
-        for robot in instant:
-            steps += pipeline.handle(robot.odometry)
-            steps += pipeline.handle(robot.observations)
-    steps += pipeline.finish()
-    run = runs.assemble(
-        config,
-        _recorded(exploration),
-        steps,
-        pipeline.trajectories(),
-        pipeline.landmark_map(),
-        pipeline.dropped,
+    sent = (
+        event
+        for instant in exploration.instants
+        for robot in instant
+        for event in (robot.odometry, robot.observations)
     )
-    return run, pipeline
+    steps = offline.run_through(pipeline, sent)
+    return offline.assemble(pipeline, _recorded(exploration), steps), pipeline
 
 
 def _recorded(exploration: Exploration) -> runs.Recorded:

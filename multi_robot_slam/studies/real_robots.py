@@ -5,13 +5,14 @@ the robots' sightings of each other, and by each robot alone. A robot alone drif
 whole, so it is judged after alignment, too.
 """
 
-import csv
-from collections.abc import Callable, Iterator, Mapping
+import shutil
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import yaml
 
 from multi_robot_slam import runs
 from multi_robot_slam.config import Config
@@ -20,15 +21,19 @@ from multi_robot_slam.filter.settings import NO_REJUVENATION, FilterSettings
 from multi_robot_slam.pipeline import offline, refinement
 from multi_robot_slam.pipeline.pipeline import Pipeline
 from multi_robot_slam.runs.trajectory_errors import rmse, sampled
-from multi_robot_slam.studies import filtering_optimum
+from multi_robot_slam.studies import filtering_optimum, real_table, table
+from multi_robot_slam.studies.real_table import (
+    ALONE,
+    FILTERS,
+    LANDMARKS,
+    REJUVENATED,
+    SIGHTINGS,
+    TEAM,
+    Key,
+    Row,
+)
 
-SIGHTINGS, LANDMARKS, ALONE = "together, sightings", "together", "alone"
-SETUPS = (SIGHTINGS, LANDMARKS, ALONE)
-REJUVENATED = "rejuvenated"
 PROPOSALS: dict[str, Literal["motion", "informed"]] = {"informed": "informed", "motion": "motion"}
-FILTERS = (REJUVENATED, *PROPOSALS)
-"""The bag's own, and both proposals without rejuvenation, which takes the odometry as it is."""
-TEAM = "team"
 OPTIMUM_EVERY = 10
 RATE_HZ = 1.0
 """Frames of each robot: at 2 and 4 Hz the same readings, correlated as they are, tell no more."""
@@ -45,72 +50,57 @@ class Job:
     with_yardstick: bool
     """The yardstick is that of the recording and the same for all seeds: one run computes it."""
 
-
-@dataclass(frozen=True)
-class Row:
-    """Figures of one robot in one run, or of the whole team."""
-
-    setup: str
-    filter: str
-    robot: str
-    seed: int
-    particles: int
-    odometry_path_rmse_m: float
-    online_path_rmse_m: float
-    optimum_rmse_m: float | None
-    """Of the filtering optimum, every OPTIMUM_EVERY steps: with the true identities, and all of
-    what was known at that instant."""
-    online_path_aligned_rmse_m: float
-    online_heading_rmse_rad: float
-    online_mean_path_rmse_m: float
-    path_rmse_m: float
-    mean_path_rmse_m: float
-    refined_path_rmse_m: float
-    refined_path_aligned_rmse_m: float
-    batch_path_rmse_m: float | None
-    batch_path_aligned_rmse_m: float | None
-    landmark_rmse_m: float
-    """Of the map, one landmark for each true one: `map_rmse_m` of `result.json`."""
-    landmark_aligned_rmse_m: float
-    refined_landmark_rmse_m: float
-    rejected: int
-    """Observations outside the gate of what they look like."""
-    duplicates: int
-    """Landmarks beyond the first of each true one."""
-
-
-Execute = Callable[[Callable[[Job], list[Row]], list[Job]], Iterator[tuple[Job, list[Row]]]]
-"""Runs a function on jobs: `scheduling.local`."""
+    @property
+    def keys(self) -> set[Key]:
+        """Those of its rows."""
+        robots = self.config.robots
+        names = (*robots, TEAM) if len(robots) > 1 else robots
+        seed, particles = self.config.seed, self.config.filter.particles
+        return {(self.setup, self.filter, name, seed, particles) for name in names}
 
 
 def study(
     folder: Path,
     out: Path,
-    seeds: int,
+    seeds: range,
     particles: int,
-    execute: Execute,
-    on_progress: Callable[[int, int], None] = lambda done, total: None,
-    first_seed: int = 0,
+    execute: table.Execute,
+    on_progress: Callable[[float, float], None] = lambda done, total: None,
 ) -> list[Row]:
-    """All rows of `seeds` seeds from the first on, in a fixed order.
+    """Bring `out/real.csv` to hold every run of the `seeds`; rows it has are not computed again.
 
-    The recording in `folder` becomes the new bag `out`/bag.
+    The recording in `folder` becomes the bag `out/bag`. Returns the rows asked for, in a fixed
+    order, which `out/real.md` summarises.
     """
-    path = out / "bag"
-    bag.write(mrclam.read(folder), path, RATE_HZ)
+    source = {"recording": str(folder.resolve()), "rate_hz": RATE_HZ}
+    table.claim(out, yaml.safe_dump(source, sort_keys=False))
+    path = _converted(folder, out)
     config = offline.recorded_config(path)
     if config is None:
         raise AssertionError("what was just converted has its configuration")
-    jobs = plan(path, config, range(first_seed, first_seed + seeds), particles)
-    rows: list[Row] = []
-    for done, (_, answer) in enumerate(execute(compute, jobs), start=1):
-        rows += answer
-        on_progress(done, len(jobs))
+    jobs = plan(path, config, seeds, particles)
+    kept = real_table.opened(out / "real.csv")
+    todo = [job for job in jobs if not job.keys <= kept.rows.keys()]
+    table.fill(kept, todo, compute, _keyed, execute, on_progress)
+    wanted = set().union(*(job.keys for job in jobs))
+    rows = [kept.rows[key] for key in sorted(wanted, key=real_table.order)]
+    (out / "real.md").write_text(real_table.markdown(rows))
+    return rows
 
-    def order(row: Row) -> tuple[int, int]:
-        return SETUPS.index(row.setup), FILTERS.index(row.filter)
 
-    return sorted(rows, key=lambda row: (*order(row), row.robot, row.seed))
+def _converted(folder: Path, out: Path) -> Path:
+    """The bag of the recording, which is there whole or not at all."""
+    path, new = out / "bag", out / "converting" / "bag"
+    if not path.exists():
+        shutil.rmtree(new.parent, ignore_errors=True)
+        bag.write(mrclam.read(folder), new, RATE_HZ)
+        new.rename(path)
+        new.parent.rmdir()
+    return path
+
+
+def _keyed(job: Job, rows: list[Row]) -> dict[Key, Row]:
+    return {real_table.key_of(row): row for row in rows}
 
 
 def plan(path: Path, config: Config, seeds: range, particles: int) -> list[Job]:
@@ -200,62 +190,3 @@ def rows_of(
         )
         for robot, values in figures.items()
     ]
-
-
-def write(rows: list[Row], folder: Path) -> None:
-    """`real.csv`, a row a robot and run, and `real.md`, mean and deviation over seeds."""
-    names = [field.name for field in fields(Row)]
-    with (folder / "real.csv").open("w", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(names)
-        writer.writerows([_plain(getattr(row, name)) for name in names] for row in rows)
-    (folder / "real.md").write_text(markdown(rows))
-
-
-COLUMNS = {
-    "online_path_rmse_m": "live",
-    "online_path_aligned_rmse_m": "live, aligned",
-    "online_heading_rmse_rad": "live heading [rad]",
-    "online_mean_path_rmse_m": "live mean",
-    "optimum_rmse_m": "filtering optimum",
-    "path_rmse_m": "after the run",
-    "mean_path_rmse_m": "after the run, mean",
-    "refined_path_rmse_m": "refined",
-    "refined_path_aligned_rmse_m": "refined, aligned",
-    "batch_path_rmse_m": "yardstick",
-    "batch_path_aligned_rmse_m": "yardstick, aligned",
-    "odometry_path_rmse_m": "odometry",
-    "landmark_rmse_m": "landmarks",
-    "landmark_aligned_rmse_m": "landmarks, aligned",
-    "refined_landmark_rmse_m": "landmarks, refined",
-    "rejected": "rejected",
-    "duplicates": "duplicates",
-}
-"""Figures of the table, RMS errors in metres but where it says otherwise."""
-
-
-def markdown(rows: list[Row]) -> str:
-    """A table of mean ± standard deviation over the seeds, for each set-up, filter and robot."""
-    head = ("set-up", "filter", "robot", *COLUMNS.values())
-    lines = ["| " + " | ".join(head) + " |", "|---|---|---|" + "---:|" * len(COLUMNS)]
-    groups: dict[tuple[str, str, str], list[Row]] = {}
-    for row in rows:
-        groups.setdefault((row.setup, row.filter, row.robot), []).append(row)
-    for key, group in groups.items():
-        cells = [_cell([getattr(row, name) for row in group]) for name in COLUMNS]
-        lines.append("| " + " | ".join([*key, *cells]) + " |")
-    return "\n".join(lines) + "\n"
-
-
-def _cell(values: list[float | None]) -> str:
-    known = np.array([value for value in values if value is not None], float)
-    if not len(known):
-        return "-"
-    form = ".0f" if all(isinstance(value, int) for value in values) else ".3f"
-    return (
-        f"{known.mean():{form}} ± {known.std():{form}}" if len(known) > 1 else f"{known[0]:{form}}"
-    )
-
-
-def _plain(value: object) -> object:
-    return f"{value:.6g}" if isinstance(value, float) else value

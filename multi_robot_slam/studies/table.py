@@ -4,10 +4,12 @@ Rows are appended as runs finish; a row is whole when its line ends. The finishe
 order of its keys, so it does not depend on the order in which the runs ended.
 """
 
+import csv
+import io
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar, get_args, get_type_hints
 
 from msg_defs.errors import InputError
 
@@ -124,17 +126,25 @@ def claim(folder: Path, settings: str) -> None:
 
 def line(values: Iterable[float | str | None]) -> str:
     """A row as CSV: floats with six digits, None as an empty cell."""
-    return ",".join(map(_cell, values))
+    text = io.StringIO()
+    csv.writer(text, lineterminator="").writerow(map(_cell, values))
+    return text.getvalue()
 
 
 def cells(text: str, columns: Sequence[str], types: Sequence[type]) -> list[Any]:
     """The inverse of `line`, empty cells as None; `InputError` names the cell that does not fit."""
-    words = text.strip().split(",")
+    words = next(csv.reader([text.strip()]), [])
     if len(words) != len(columns):
         raise InputError(
             f"not a row of the table: '{text.strip()}'; its columns are {','.join(columns)}"
         )
     return [_parse(*cell) for cell in zip(types, columns, words, strict=True)]
+
+
+def types_of(cls: type) -> tuple[type, ...]:
+    """The types of a dataclass's fields, in their order; that of `float | None` is float."""
+    hints = get_type_hints(cls)
+    return tuple(get_args(hint)[0] if get_args(hint) else hint for hint in hints.values())
 
 
 def _cell(value: float | str | None) -> str:

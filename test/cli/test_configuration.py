@@ -48,7 +48,7 @@ def choose(bag, tmp_path):
         scenario = tmp_path / "given.yaml"
         scenario.write_text(f"multi_robot_slam: {section}")
         path = None if section is None else str(scenario)
-        return configuration.of_run(of, path, overrides.parse(words), warn)
+        return configuration.of_run(configuration.Recording(of), path, overrides.parse(words), warn)
 
     return chosen
 

@@ -6,9 +6,10 @@ import mrclam_recording
 import numpy as np
 import pytest
 
+from msg_defs.errors import InputError
 from multi_robot_slam import runs
 from multi_robot_slam.config import Config
-from multi_robot_slam.studies import real_robots
+from multi_robot_slam.studies import real_robots, real_table
 
 
 def execute(function, jobs):
@@ -23,8 +24,13 @@ def original(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def rows(original, tmp_path_factory):
-    return real_robots.study(original, tmp_path_factory.mktemp("study"), range(2), 30, execute)
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("study")
+
+
+@pytest.fixture(scope="module")
+def rows(original, folder):
+    return real_robots.study(original, folder, range(2), 30, execute)
 
 
 def test_a_row_for_each_robot_and_the_team_of_every_run(rows):
@@ -32,9 +38,9 @@ def test_a_row_for_each_robot_and_the_team_of_every_run(rows):
     robots = ("robot_1", "robot_2")
     wanted = [
         (setup, name, robot, seed)
-        for setup in real_robots.SETUPS
-        for name in real_robots.FILTERS
-        for robot in (*robots, *(("team",) if setup != real_robots.ALONE else ()))
+        for setup in real_table.SETUPS
+        for name in real_table.FILTERS
+        for robot in (*robots, *(("team",) if setup != real_table.ALONE else ()))
         for seed in range(2)
     ]
     assert together == wanted
@@ -50,13 +56,12 @@ def test_with_exact_odometry_everything_is_found(rows):
         assert (row.batch_path_rmse_m is not None) == is_yardstick
 
 
-def test_table_and_rows_agree(rows, tmp_path):
-    real_robots.write(rows, tmp_path)
-    with (tmp_path / "real.csv").open() as file:
+def test_table_and_rows_agree(rows, folder):
+    with (folder / "real.csv").open() as file:
         written = list(csv.DictReader(file))
     assert len(written) == len(rows)
     assert float(written[3]["path_rmse_m"]) == pytest.approx(rows[3].path_rmse_m, rel=1e-5)
-    table = (tmp_path / "real.md").read_text().splitlines()
+    table = (folder / "real.md").read_text().splitlines()
     assert len({line.count("|") for line in table}) == 1
     assert len(table) == 2 + len(rows) / 2
     pair = [row.online_path_rmse_m for row in rows[:2]]
@@ -76,10 +81,40 @@ def test_the_studys_rows_are_of_its_seeds(original, tmp_path):
 
     def only_note(function, jobs):
         seeds.extend(job.config.seed for job in jobs)
-        return iter(())
+        raise KeyboardInterrupt
 
-    real_robots.study(original, tmp_path, 2, 30, only_note, first_seed=5)
+    with pytest.raises(KeyboardInterrupt):
+        real_robots.study(original, tmp_path, range(5, 7), 30, only_note)
     assert set(seeds) == {5, 6}
+
+
+def test_an_interrupted_study_goes_on_where_it_stopped(original, rows, folder, tmp_path):
+    def known(job):
+        return [row for row in rows if real_table.key_of(row) in job.keys]
+
+    def interrupted(function, jobs):
+        yield jobs[3], known(jobs[3])
+        raise KeyboardInterrupt
+
+    def remaining(function, jobs):
+        left.extend(jobs)
+        return ((job, known(job)) for job in jobs)
+
+    left = []
+    with pytest.raises(KeyboardInterrupt):
+        real_robots.study(original, tmp_path, range(2), 30, interrupted)
+    bag = (tmp_path / "bag" / "metadata.yaml").stat().st_mtime_ns
+    again = real_robots.study(original, tmp_path, range(2), 30, remaining)
+    assert len(left) == 2 * 3 * 4 - 1
+    assert [real_table.key_of(row) for row in again] == [real_table.key_of(row) for row in rows]
+    assert (tmp_path / "bag" / "metadata.yaml").stat().st_mtime_ns == bag
+    for name in ("real.csv", "real.md"):
+        assert (tmp_path / name).read_text() == (folder / name).read_text()
+
+
+def test_rows_of_another_recording_are_not_mixed(original, rows, folder, tmp_path):
+    with pytest.raises(InputError, match="other settings"):
+        real_robots.study(tmp_path, folder, range(2), 30, execute)
 
 
 def test_each_robot_alone_keeps_its_own_camera(tmp_path):
