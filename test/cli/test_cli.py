@@ -8,6 +8,7 @@ import pytest
 import recordings
 
 from msg_defs import scenario_file, topics, wire
+from msg_defs.topics import Topic
 from multi_robot_slam.bags import BagReader, BagWriter
 from multi_robot_slam.cli import main
 from multi_robot_slam.config import SECTION, Config
@@ -136,6 +137,22 @@ def test_the_shell_completes_verbs_and_values(monkeypatch, capfd, tmp_path):
         (("run", "bag", "--set", "reord"), ["reorder_window_s="]),
     ):
         assert completed(monkeypatch, capfd, *words) == offered
+
+
+def test_of_two_teams_in_one_bag_one_is_chosen(command, bag, tmp_path):
+    both, out = tmp_path / "both", tmp_path / "out"
+    with BagWriter(both) as writer:
+        for record in BagReader(bag):
+            for namespace in ("/red", "/blue"):
+                topic = Topic(f"{namespace}{record.topic}", record.type)
+                writer.write(topic, record.stamp_ns, record.data)
+    assert "choose one: --namespace /red" in refused(command("run", both))
+    words = ("--namespace", "blue", "--scenario", "paper", "--particles", "20")
+    assert command("run", both, "--out", out, *words)[0] == 0
+    result = json.loads((out / "result.json").read_text())
+    assert (result["namespace"], result["scenario"], result["steps"]) == ("/blue", "paper", 21)
+    assert command("evaluate", out)[0] == 0
+    assert json.loads((out / "result.json").read_text())["namespace"] == "/blue"
 
 
 def test_the_same_bag_gives_the_same_figures(command, bag, tmp_path):

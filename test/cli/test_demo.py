@@ -90,6 +90,7 @@ def test_no_message_is_missing_in_the_bag_or_in_the_steps(start, tmp_path):
     assert "step 31, 3 robots, " in said
     result = json.loads((out / "result.json").read_text())
     assert (result["steps"], result["seed"], result["dropped"]) == (31, 7, {})
+    assert result["scenario"] == str(tmp_path / "given.yaml")
     wanted = {"scenario.yaml", "config.yaml", "map.csv", "map.png", "errors.png", "report.html"}
     assert wanted <= {path.name for path in out.iterdir()}
     config = scenario_file.from_file(Config, out / "config.yaml", SECTION)

@@ -9,9 +9,9 @@ import pytest
 import recordings
 
 from msg_defs import scenario_file, topics, wire
+from multi_robot_slam import runs
 from multi_robot_slam.bags import BagReader
 from multi_robot_slam.config import SECTION, Config
-from multi_robot_slam.runs import run as runs
 from sim_world import cli, trajectories
 from sim_world.scenario import SECTION as WORLD_SECTION
 from sim_world.scenario import Scenario
