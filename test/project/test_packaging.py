@@ -92,6 +92,7 @@ def test_executable_runs_the_installed_code(prefix, tmp_path, package, executabl
 def test_node_comes_up_and_ends_cleanly(prefix, monkeypatch, spawn, tmp_path, package, executable):
     pytest.importorskip("rclpy")
     path = _as_ros2_run_finds_it(prefix, monkeypatch, package, executable)
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")  # to compile it all anew takes half a minute
     process = spawn(path, cwd=tmp_path)
     assert _a_node_appears(process)
     process.terminate()
