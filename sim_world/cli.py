@@ -13,7 +13,6 @@ from sim_world.team import team_scenario
 app = typer.Typer(
     help="The simulated world: a building with visual landmarks, and a team of robots in it.",
     no_args_is_help=True,
-    rich_markup_mode="markdown",
 )
 app.callback()(cli.options)
 
