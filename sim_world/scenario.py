@@ -9,6 +9,7 @@ from msg_defs import topics
 from msg_defs.types import StereoCamera, settings
 
 SECTION = "sim_world"
+Tour = Literal["figure_eight", "hall_first", "ring"]
 
 
 @settings
@@ -41,9 +42,7 @@ class Scenario:
     """A team of robots in the building, and what its sensors are like (paper sec. 6, Table 2)."""
 
     robots: Annotated[int, Interval(ge=1, le=32), "number of robots K"] = 3
-    trajectory: Annotated[
-        Literal["figure_eight", "hall_first", "ring"], "tour through the building"
-    ] = "figure_eight"
+    trajectory: Annotated[Tour, "tour through the building"] = "figure_eight"
     start_offset: Annotated[
         float, Interval(ge=0, lt=1), "where along the tour the first robot starts [share of it]"
     ] = 0.0

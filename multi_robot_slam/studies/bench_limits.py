@@ -2,8 +2,11 @@
 
 from dataclasses import dataclass
 
+from numba.core.dispatcher import Dispatcher
+
 from multi_robot_slam.filter import informed_kernels, kernels
 from multi_robot_slam.studies import machine
+from multi_robot_slam.studies.session import Proposal
 
 WORD = 4
 """Bytes of a float32 or int32."""
@@ -11,7 +14,7 @@ WORD = 4
 OUTCOME = 3 * WORD
 """Match, D (18) and |Z| (16)."""
 
-BYTES = {
+BYTES: dict[Proposal, int] = {
     # planes read and written; outcome written, and read to weigh it and name the match
     "motion": (2 * kernels.PLANES * WORD) + 2 * OUTCOME,
     # planes also read to match; outcome also read to update
@@ -22,7 +25,10 @@ BYTES = {
 GATHER_BYTES = 2 * kernels.PLANES * WORD
 """The same for the lazy copy after resampling: planes read and written."""
 
-KERNELS = {"motion": (kernels.update,), "informed": (informed_kernels.believe, kernels.update)}
+KERNELS: dict[Proposal, tuple[Dispatcher, ...]] = {
+    "motion": (kernels.update,),
+    "informed": (informed_kernels.believe, kernels.update),
+}
 """Loops that every particle-observation goes through; their operations are counted."""
 
 
@@ -60,18 +66,18 @@ class Limits:
         self.operations = {p: sum(map(machine.operations, KERNELS[p])) for p in KERNELS}
         self.gather = GATHER_BYTES * self.rates.ns_per_byte
 
-    def proposal(self, proposal: str) -> float:
+    def proposal(self, proposal: Proposal) -> float:
         """Predict, associate, update and weigh."""
         return max(
             BYTES[proposal] * self.rates.ns_per_byte,
             self.operations[proposal] * self.rates.ns_per_operation,
         )
 
-    def step(self, proposal: str) -> float:
+    def step(self, proposal: Proposal) -> float:
         """The same and the lazy copy."""
         return self.proposal(proposal) + self.gather
 
-    def explain(self, proposal: str) -> str:
+    def explain(self, proposal: Proposal) -> str:
         """What the limit of a proposal is made of."""
         return (
             f"{BYTES[proposal]} bytes at {1 / self.rates.ns_per_byte:.0f} GB/s, "

@@ -17,7 +17,7 @@ from multi_robot_slam.filter import kernels
 from multi_robot_slam.filter.history import PRUNE_EVERY
 from multi_robot_slam.studies import rivals
 from multi_robot_slam.studies.bench_limits import BYTES, GATHER_BYTES, WORD, Limits, Sizes
-from multi_robot_slam.studies.session import Clock, Session, take_turns
+from multi_robot_slam.studies.session import Clock, Proposal, Session, take_turns
 
 ONE_THREAD = {
     "OMP_NUM_THREADS": "1",
@@ -82,7 +82,9 @@ def measure(sizes: Sizes) -> list[Row]:
     return sorted(rows, key=lambda row: list(TARGETS).index(row.name))
 
 
-def _session(sizes: Sizes, landmarks: int, robots: int, particles: int, proposal: str) -> Session:
+def _session(
+    sizes: Sizes, landmarks: int, robots: int, particles: int, proposal: Proposal
+) -> Session:
     return Session(landmarks, robots, particles, sizes.observations, proposal, sizes.seed)
 
 
@@ -92,7 +94,7 @@ def _rounds(sizes: Sizes) -> range:
 
 
 def particle_observation(
-    sizes: Sizes, limits: Limits, proposal: str, clocks: list[Clock], session: Session
+    sizes: Sizes, limits: Limits, proposal: Proposal, clocks: list[Clock], session: Session
 ) -> Row:
     """Predict, associate, update and weigh; the lazy copies belong to resampling."""
     values = _per_particle_observation(sizes, clocks)
@@ -108,7 +110,7 @@ def _per_particle_observation(sizes: Sizes, clocks: list[Clock]) -> list[float]:
     return [scale * (clock.proposal - clock.gather) for clock in clocks]
 
 
-def whole_step(sizes: Sizes, limits: Limits, clocks: dict[str, list[Clock]]) -> Row:
+def whole_step(sizes: Sizes, limits: Limits, clocks: dict[Proposal, list[Clock]]) -> Row:
     """The step of the slower proposal."""
     values = {p: [1e3 * clock.step for clock in clocks[p]] for p in clocks}
     slower, note = _worst(values)
@@ -116,7 +118,7 @@ def whole_step(sizes: Sizes, limits: Limits, clocks: dict[str, list[Clock]]) -> 
     return _row("step_ms_m2000_k3", values[slower], 1e-6 * count * limits.step(slower), note)
 
 
-def resample_share(sizes: Sizes, limits: Limits, clocks: dict[str, list[Clock]]) -> Row:
+def resample_share(sizes: Sizes, limits: Limits, clocks: dict[Proposal, list[Clock]]) -> Row:
     """Everything outside the proposal, and the lazy copies in it; the larger of both proposals."""
     values = {p: [1 - (c.proposal - c.gather) / c.step for c in clocks[p]] for p in clocks}
     larger, note = _worst(values)
@@ -215,7 +217,7 @@ def _time_in_fresh_process(code: str) -> float:
     return float(done.stdout)
 
 
-def _worst(values: dict[str, list[float]]) -> tuple[str, str]:
+def _worst(values: dict[Proposal, list[float]]) -> tuple[Proposal, str]:
     medians = {proposal: np.median(values[proposal]) for proposal in values}
     note = ", ".join(f"{proposal} {median:.3g}" for proposal, median in medians.items())
     return max(medians, key=lambda proposal: medians[proposal]), note

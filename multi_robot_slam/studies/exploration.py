@@ -1,6 +1,7 @@
 """One exploration: a simulated team and its filter, in this process and without ROS."""
 
 from dataclasses import dataclass, replace
+from typing import cast
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from multi_robot_slam.filter.settings import FilterSettings
 from multi_robot_slam.pipeline import offline, refinement
 from multi_robot_slam.pipeline.pipeline import Pipeline
 from multi_robot_slam.studies.experiment_table import Trial
-from sim_world.scenario import Scenario
+from sim_world.scenario import Scenario, Tour
 from sim_world.simulator import RobotStep, Simulation
 
 
@@ -45,7 +46,7 @@ def explore(base: Base, trial: Trial) -> Exploration:
         observations=trial.observations,
         d_max_m=trial.d_max_m,
         descriptor_noise=trial.descriptor_noise,
-        trajectory=trial.trajectory,
+        trajectory=cast(Tour, trial.trajectory),
         start_offset=trial.start_offset,
     )
     simulation = Simulation(scenario, trial.seed)
@@ -67,7 +68,7 @@ def estimate(
     starts = exploration.start_poses
     config = Config(
         robots=tuple(starts),
-        start_poses=tuple(tuple(map(float, pose)) for pose in starts.values()),
+        start_poses=tuple((float(x), float(y), float(yaw)) for x, y, yaw in starts.values()),
         seed=exploration.seed,
         mount=exploration.scenario.camera.mount,
         filter=filter_settings,

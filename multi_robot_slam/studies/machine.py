@@ -86,7 +86,7 @@ def _arithmetic(node: ast.AST, known: dict[str, Any]) -> int:
         return 0
     own = int(isinstance(node, ast.BinOp | ast.AugAssign))
     if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-        callee = known.get(node.func.id)
+        callee: Any = known.get(node.func.id)
         if hasattr(callee, "py_func"):
             own += _arithmetic(_tree(callee), callee.py_func.__globals__)
     return own + sum(_arithmetic(child, known) for child in ast.iter_child_nodes(node))

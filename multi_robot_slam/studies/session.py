@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from time import process_time
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar
 from unittest.mock import patch
 
 import numpy as np
@@ -27,6 +27,7 @@ LEAST_RIGHT = 0.95
 
 
 Name = TypeVar("Name")
+Proposal = Literal["motion", "informed"]
 
 
 class Clock(NamedTuple):
@@ -50,7 +51,7 @@ class Session:
         robots: int,
         particles: int,
         observations: int,
-        proposal: str,
+        proposal: Proposal,
         seed: int = 0,
     ) -> None:
         self.settings = FilterSettings(
