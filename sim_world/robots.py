@@ -9,13 +9,13 @@ from annotated_types import Ge
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 
-from msg_defs import scenario_file as yaml_settings
-from msg_defs import topics, wire
+from msg_defs import topics
 from msg_defs.ros.endpoints import Audience, InFlight, publisher
 from msg_defs.ros.parameters import declare
 from msg_defs.ros.spin import EdgeNode, spin
 from msg_defs.ros.usage import Usage
 from msg_defs.types import settings
+from sim_world import messages
 from sim_world.robot import START_NS
 from sim_world.scenario import SECTION, Scenario
 from sim_world.simulator import RobotStep, Simulation
@@ -52,7 +52,6 @@ class RobotNode(Node):
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
-        self._frames = topics.odom_frame(name), topics.base_frame(name)
         inputs = topics.odometry(name), topics.observations(name)
         truths = topics.ground_truth(name), topics.observation_truth(name)
         self.inputs = [publisher(self, topic) for topic in inputs]
@@ -60,13 +59,9 @@ class RobotNode(Node):
 
     def publish(self, step: RobotStep) -> None:
         """Publish everything of one instant."""
-        odom_frame, base_frame = self._frames
-        odometry, observations = self.inputs
-        odometry.publish(wire.encode_pose(step.odometry, odom_frame, base_frame))
-        observations.publish(wire.encode_observations(step.observations))
-        truth, observation_truth = self.truths
-        truth.publish(wire.encode_pose(step.truth, topics.MAP_FRAME, base_frame))
-        observation_truth.publish(wire.encode_observation_truth(step.observation_truth))
+        outputs = self.inputs + self.truths
+        for output, (_, data) in zip(outputs, messages.of_step(step), strict=True):
+            output.publish(data)
 
 
 class SimWorld(EdgeNode):
@@ -83,7 +78,7 @@ class SimWorld(EdgeNode):
         self._speed = playback.speed
         self._audience = Audience(self, self._expected(playback), playback.wait_s)
         self._in_flight = InFlight(self, [p for r in self._robots for p in r.inputs + r.truths])
-        self._publish_world(simulation, scenario)
+        self._publish_world(simulation)
         self._steps = simulation.steps()
         self._next = next(self._steps, None)
         self._published = 0
@@ -110,13 +105,8 @@ class SimWorld(EdgeNode):
             yield from ((output, playback.subscribers) for output in robot.inputs)
             yield from ((output, playback.truth_subscribers) for output in robot.truths)
 
-    def _publish_world(self, simulation: Simulation, scenario: Scenario) -> None:
-        config = yaml_settings.to_yaml(**{SECTION: scenario})
-        for topic, data in (
-            (topics.GROUND_TRUTH_LANDMARKS, wire.encode_map(simulation.landmarks, START_NS)),
-            (topics.GROUND_TRUTH_WALLS, wire.encode_walls(simulation.walls, START_NS)),
-            (topics.WORLD_CONFIG, wire.encode_text(f"# seed: {simulation.seed}\n{config}")),
-        ):
+    def _publish_world(self, simulation: Simulation) -> None:
+        for topic, data in messages.of_world(simulation):
             publisher(self, topic).publish(data)
 
     def _due_s(self, step: tuple[RobotStep, ...]) -> float:
