@@ -54,6 +54,12 @@ class Clock:
         return self.now_s
 
 
+def rounds(count):
+    """A condition for `spin_until` that is met when it has been asked so often."""
+    left = iter(range(count))
+    return lambda: next(left, None) is None
+
+
 def seconds_taken(make):
     """How long the node `make(clock)` takes, by a clock that goes on by what it waits."""
     clock = Clock()

@@ -3,7 +3,6 @@ import resource
 import signal
 import subprocess
 import sys
-import time
 
 import pytest
 import recordings
@@ -84,19 +83,18 @@ def wait_for_size(bag, size):
     nodes.wait_until(lambda: any(f.stat().st_size > size for f in bag.glob("*.mcap")))
 
 
-def test_a_killed_recorder_loses_less_than_a_second(spawn, tmp_path, command):
+def test_a_killed_recorder_leaves_all_that_it_has_written(spawn, tmp_path, command):
     bag = tmp_path / "bag"
     process = spawn(
         *module("multi_robot_slam.nodes.recorder", f"out:={bag}", "robots:=[robot_1,robot_2]")
     )
     spawn(*endless(speed=2.0), stderr=subprocess.DEVNULL)
     wait_for_size(bag, 300_000)
-    killed_ns = time.time_ns()
+    written = [record.data for record in BagReader(bag)]
     process.kill()
     process.wait()
     reader = BagReader(bag)
-    last_ns = reader.summary.span_ns[1]
-    assert killed_ns - 1e9 < last_ns <= killed_ns + 1e8
+    assert [record.data for record in reader][: len(written)] == written != []
     for name in ("robot_1", "robot_2"):
         odometry = [r.data for r in reader if r.topic == f"/{name}/odom"]
         stamps = [wire.decode_pose(data, name).stamp_ns for data in odometry]
