@@ -11,7 +11,7 @@ from multi_robot_slam.bags import BagReader, absolute
 from multi_robot_slam.config import SECTION, Config
 from multi_robot_slam.pipeline import offline
 
-OF_THE_RECORDING = ("robots", "start_poses", "mount", "mounts", "sightings")
+OF_THE_RECORDING = ("robots", "start_poses", "camera_frame", "mount", "mounts", "sightings")
 """Facts about the robots and what they sent, which another way to estimate does not change."""
 OF_EACH_ROBOT = ("start_poses", "mounts")
 """Those of them with one entry for each robot, in the order of `robots`; `mounts` may be empty."""

@@ -16,6 +16,7 @@ RECORDED = Config(
     robots=("alice", "bob"),
     start_poses=((1.0, 2.0, 0.5), (3.0, 4.0, 0.25)),
     sightings=True,
+    camera_frame="{robot}/eye",
     mount=CameraMount(up_m=0.3),
     seed=5,
     filter=FilterSettings(particles=33, gate=8.0),
@@ -61,7 +62,7 @@ def test_what_a_scenario_leaves_out_is_the_bags_about_robots_and_a_default_about
     config = choose("{filter: {gate: 9.0}}")
     assert (config.filter.gate, config.filter.particles) == (9.0, FilterSettings().particles)
     assert config.seed == Config().seed
-    for name in ("robots", "start_poses", "sightings", "mount"):
+    for name in ("robots", "start_poses", "sightings", "camera_frame", "mount"):
         assert getattr(config, name) == getattr(RECORDED, name)
 
 
