@@ -18,7 +18,7 @@ from multi_robot_slam.config import SECTION, Config
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
 QUICK = {("multi_robot_slam", verb) for verb in ("run", "evaluate", "compare", "report", "export")}
-QUICK |= {("sim_world", "team"), ("sim_world", "descriptors")}
+QUICK |= {("sim_world", "team"), ("sim_world", "descriptors"), ("sim_world", "generate")}
 LONG = {("multi_robot_slam", verb) for verb in ("demo", "study", "convert")}
 """They take minutes, or a recording that the README does not bring: only their help is asked."""
 GROUPS = ("study", "convert")
