@@ -13,9 +13,10 @@ from multi_robot_slam.models.motion import wrap
 from multi_robot_slam.pipeline.pipeline import Pipeline
 from multi_robot_slam.runs import Run
 from multi_robot_slam.smoothing import joining, solve
+from multi_robot_slam.smoothing.aliases import Aliases
 from multi_robot_slam.smoothing.odometry_scale import Scales, learn
 from multi_robot_slam.smoothing.problem import Problem, problem_of
-from multi_robot_slam.smoothing.solve import Smoothed
+from multi_robot_slam.smoothing.solve import Smoothed, SmoothingError
 
 Lineage = Sequence[tuple[Record, int]]
 """The past of one particle, oldest first: its row in each record (`Pipeline.lineage`)."""
@@ -44,33 +45,46 @@ class Refined:
 def complete(run: Run, pipeline: Pipeline, with_refined: bool = False) -> Run:
     """The run with what only the filter's history tells.
 
-    The mean of all particles' paths, the yardstick, and, if wanted, the refined paths and map.
+    The mean of all particles' paths, the yardstick, and, if wanted, the refined paths and map. What
+    smoothing cannot give is missing, with a warning.
     """
     lineage = pipeline.lineage()
     run = with_yardstick(run.with_paths(mean=pipeline.mean_trajectories()), lineage)
     if not with_refined:
         return run
     if len(lineage) > MAX_FRAMES:
-        warning = f"not refined: {len(lineage)} frames, and {MAX_FRAMES} are the most"
-        return replace(run, warnings=(*run.warnings, warning))
-    refined = refine(lineage, run.landmarks, run.config)
+        return _warned(run, f"not refined: {len(lineage)} frames, and {MAX_FRAMES} are the most")
+    try:
+        refined = refine(lineage, run.landmarks, run.config)
+    except SmoothingError as error:
+        return _warned(run, f"not refined: {error}")
     run = run.with_paths(refined=refined.paths)
     return replace(run, refined_landmarks=refined.landmarks)
 
 
 def with_yardstick(run: Run, lineage: Lineage) -> Run:
-    """The run with the yardstick, if all associations are known and the frames not too many."""
-    paths = None
-    if len(lineage) <= MAX_FRAMES:
+    """The run with the yardstick, if all associations are known and the frames not too many.
+
+    If it cannot be computed, a warning says why.
+    """
+    if len(lineage) > MAX_FRAMES:
+        return run
+    try:
         paths = yardstick(lineage, run.observation_truth, run.config)
-    return run if paths is None else run.with_paths(yardstick=paths)
+    except SmoothingError as error:
+        return _warned(run, f"no yardstick: {error}")
+    return run if paths is None else run.with_paths(batch=paths)
+
+
+def _warned(run: Run, warning: str) -> Run:
+    return replace(run, warnings=(*run.warnings, warning))
 
 
 def refine(lineage: Lineage, landmarks: LandmarkMap, config: Config) -> Refined:
     """Smooth over the best particle's associations, robustly, and join landmarks it had split.
 
     Smooth, with the factors of the odometry if those are in doubt; join (`joining`); repeat until
-    no landmarks join.
+    no landmarks join. `SmoothingError` if there is no optimum.
 
     Parameters
     ----------
@@ -84,21 +98,20 @@ def refine(lineage: Lineage, landmarks: LandmarkMap, config: Config) -> Refined:
     seen = [np.searchsorted(landmarks.ids, record.matches[:, row]) for record, row in lineage]
     settings, scales = config.filter, _scales(config)
     alike = joining.alike(landmarks.descriptors, settings.descriptor_gate)
-    owner = np.arange(len(landmarks.ids))
-    while True:
-        identities = [owner[rows] for rows in seen]
+
+    def smoothed_with(aliases: Aliases, poses: np.ndarray) -> tuple[Problem, Smoothed]:
+        nonlocal scales
+        identities = [aliases.of(rows) for rows in seen]
         problem, smoothed, scales = _smooth(
             records, identities, poses, scales, settings.robust_above, config
         )
-        poses = smoothed.poses
-        pairs = np.searchsorted(problem.ids, _distinct(owner[alike]))
-        joined = joining.joined(problem, smoothed, pairs, settings.gate, settings.exclusive)
-        if not len(joined):
-            break
-        heir = np.arange(len(owner))
-        heir[problem.ids[joined[:, 1]]] = problem.ids[joined[:, 0]]
-        owner = heir[owner]
-    return Refined(_trajectories(records, poses, config), _map(problem, smoothed, landmarks))
+        return problem, smoothed
+
+    problem, smoothed, _ = joining.smooth_and_join(
+        smoothed_with, poses, alike, settings.gate, settings.exclusive
+    )
+    paths = _trajectories(records, smoothed.poses, config)
+    return Refined(paths, _map(problem, smoothed, landmarks))
 
 
 def yardstick(
@@ -115,10 +128,12 @@ def yardstick(
     truth : (robot, stamp_ns) -> (B,) true landmark of each observation; with that of one frame
         missing there is no yardstick.
 
+    `SmoothingError` if there is no optimum.
+
     """
     records = [record for record, _ in lineage]
     keys = [(config.robots[record.robot], record.stamp_ns) for record in records]
-    identities = [truth.get(key, ()) for key in keys]
+    identities = [np.asarray(truth.get(key, ())) for key in keys]
     known = [len(rows) == len(r.positions) for rows, r in zip(identities, records, strict=True)]
     if not records or not all(known):
         return None
@@ -142,7 +157,7 @@ def _smooth(
     for _ in range(MOST_ROUNDS):
         problem = problem_of(records, identities, starts, motion, factors=scales.factors)
         smoothed = solve.smooth(problem, poses, robust_above)
-        learnt = learn(scales, problem, smoothed, motions, settled=0.0)
+        learnt = learn(scales, problem, smoothed, motions, fixed=0.0)
         if np.abs(learnt.factors - scales.factors).max() < SMALLEST_CHANGE:
             break
         scales, poses = learnt, smoothed.poses
@@ -151,12 +166,6 @@ def _smooth(
 
 def _scales(config: Config) -> Scales:
     return Scales.unknown(len(config.robots), config.filter.motion.scale_sigma)
-
-
-def _distinct(pairs: np.ndarray) -> np.ndarray:
-    """Each pair (A, 2) of different members once, the smaller first."""
-    pairs = np.unique(np.sort(pairs, axis=1), axis=0)
-    return pairs[pairs[:, 0] < pairs[:, 1]]
 
 
 def _trajectories(

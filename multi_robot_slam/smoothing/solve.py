@@ -48,6 +48,10 @@ NEAR = 1.0
 """After a step shorter than this the same H serves for the next ones; they cost a fifth."""
 
 
+class SmoothingError(ValueError):
+    """There is no optimum, or it was not found: says why."""
+
+
 @dataclass(frozen=True, eq=False)
 class Smoothed:
     """The optimum, and the Gaussian around it."""
@@ -63,7 +67,6 @@ class Smoothed:
     cost: float
     """Half the sum of squared, robust, whitened residuals."""
     iterations: int
-    converged: bool
 
 
 @one_thread
@@ -84,34 +87,69 @@ def smooth(
     smallest_step : the iteration ends when the step is shorter, in standard deviations of the
         solution.
 
+    `SmoothingError` if the information is not positive definite or not finite, or the iteration
+    does not end.
+
     """
-    poses = np.array(poses, float)
+    with np.errstate(all="ignore"):  # what is not finite raises `SmoothingError`
+        return _gauss_newton(problem, np.array(poses, float), robust_above, smallest_step)
+
+
+def _gauss_newton(
+    problem: Problem, poses: np.ndarray, robust_above: float, smallest_step: float
+) -> Smoothed:
     envelope = cheapest_envelope(problem)
     weights = np.ones(len(problem.positions) + len(problem.sighted.seen))
     landmarks, squared = landmarks_and_distances(problem, poses, weights)
     threshold = max(robust_above, squared.max(initial=0))
-    iterations, length, converged = 0, np.inf, False
-    while not converged and iterations < MAX_ITERATIONS:
+    is_outdated, before = True, np.inf
+    iterations = 0
+    while True:
+        if iterations == MAX_ITERATIONS:
+            raise SmoothingError(f"smoothing {len(poses)} poses: no end after {iterations} steps")
         iterations += 1
         weights = _robust_weights(squared, _thresholds(problem, threshold))
         landmarks, squared = landmarks_and_distances(problem, poses, weights)
         gradient = _gradient(problem, poses, landmarks, weights)
-        is_fresh = length > NEAR
-        if is_fresh:
-            factor = factorise(envelope, _system(problem, poses, landmarks, weights, envelope))
+        if is_outdated:
+            factor, before = _factorised(problem, poses, landmarks, weights, envelope), np.inf
         step = -factor.solve_upper(factor.solve_lower(gradient))[: poses.size]
-        before, length = length, np.sqrt(-gradient @ step)
-        converged = bool(length < smallest_step and threshold <= robust_above)
+        length = np.sqrt(-gradient @ step)
+        if not np.isfinite(length):
+            raise SmoothingError(f"smoothing {len(poses)} poses: a step is not finite")
         poses, landmarks, squared = _line_search(
             problem, poses, step.reshape(-1, 3), weights, squared, threshold
         )
-        if threshold > robust_above or length > before:
-            length = np.inf
+        if length < smallest_step and threshold <= robust_above:
+            break
+        is_outdated = threshold > robust_above or length > min(NEAR, before)
+        before = length
         threshold = max(robust_above, min(threshold / SHARPENING, squared.max(initial=0)))
-    if not is_fresh:
-        factor = factorise(envelope, _system(problem, poses, landmarks, weights, envelope))
+    else:
+        raise SmoothingError(
+            f"smoothing {len(poses)} poses: no optimum in {MAX_ITERATIONS} iterations"
+        )
+    if not is_outdated:
+        factor = _factorised(problem, poses, landmarks, weights, envelope)
     cost = _cost(problem, poses, squared, robust_above)
-    return Smoothed(poses, landmarks, factor, weights, cost, iterations, converged)
+    if not np.isfinite(cost):
+        raise SmoothingError(f"smoothing {len(poses)} poses: the cost is not finite")
+    return Smoothed(poses, landmarks, factor, weights, cost, iterations)
+
+
+def _factorised(
+    problem: Problem,
+    poses: np.ndarray,
+    landmarks: np.ndarray,
+    weights: np.ndarray,
+    envelope: Envelope,
+) -> Factor:
+    """The Cholesky factor of H; `SmoothingError` where H is not positive definite."""
+    try:
+        return factorise(envelope, _system(problem, poses, landmarks, weights, envelope))
+    except np.linalg.LinAlgError as error:
+        message = f"smoothing {len(poses)} poses: the information is not positive definite"
+        raise SmoothingError(message) from error
 
 
 @one_thread
@@ -143,11 +181,11 @@ def landmark_leans(problem: Problem, smoothed: Smoothed, wanted: np.ndarray) -> 
     return leans
 
 
-def settle(problem: Problem, smoothed: Smoothed, count: int) -> tuple[np.ndarray, Known]:
-    """The first `count` poses move no more: where the others start, and what is known of landmarks.
+def marginalise(problem: Problem, smoothed: Smoothed, count: int) -> tuple[np.ndarray, Known]:
+    """Fix the first `count` poses: where the others start, and what is known of landmarks.
 
     `problem_of` makes of these and the later records a problem whose size does not grow with the
-    run. Given the optimum of the poses that settle, its optimum is that of `problem`.
+    run. Its optimum is that of `problem`, as long as the fixed poses are at theirs.
 
     Parameters
     ----------

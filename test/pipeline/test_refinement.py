@@ -220,6 +220,20 @@ def test_run_too_long_to_smooth_is_told(explored, monkeypatch):
     assert "10 are the most" in run.warnings[-1]
 
 
+def test_run_that_cannot_be_smoothed_goes_on_unrefined(explored, monkeypatch):
+    lineage = explored.pipeline.lineage()
+    record, row = lineage[20]
+    lineage[20] = replace(record, positions=np.full_like(record.positions, np.nan)), row
+    monkeypatch.setattr(explored.pipeline, "lineage", lambda: lineage)
+    run = refinement.complete(explored.run, explored.pipeline, with_refined=True)
+    assert run.refined_landmarks is None
+    yardstick, refined = run.warnings[-2:]
+    assert yardstick.startswith("no yardstick: smoothing ")
+    assert refined.startswith("not refined: smoothing ")
+    robot = run.robots["robot_1"]
+    assert len(robot.refined.stamps_ns) == len(robot.batch.stamps_ns) == 0 < len(robot.mean.poses)
+
+
 def test_command_refines(command, tmp_path):
     recordings.record(tmp_path / "bag", SCENARIO, seed=1)
     assert command("run", tmp_path / "bag", "--out", tmp_path / "out", "--refine")[0] == 0

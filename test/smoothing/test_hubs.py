@@ -72,7 +72,7 @@ def test_hubs_may_be_known_from_settled_poses_alone(monkeypatch, share):
     state, settings = filtered(steps=8)
     records, identities, poses = remembered(state)
     whole = problem_of(records, identities, worlds.START, settings.motion)
-    start, known = solve.settle(whole, solve.smooth(whole, poses), 12)
+    start, known = solve.marginalise(whole, solve.smooth(whole, poses), 12)
     problem = problem_of(records[12:], identities[12:], start, settings.motion, known)
     assert (problem.seen_from[problem.starts[1:] - 1] < 0).any()
     expected = solve.smooth(problem, poses[12:], smallest_step=1e-6)
