@@ -30,7 +30,7 @@ from multi_robot_slam.filter import resampling
 from multi_robot_slam.filter.history import Past, Record, signature_of
 from multi_robot_slam.filter.settings import FilterSettings, RejuvenationSettings, threads
 from multi_robot_slam.filter.state import Fixed, State, resample
-from multi_robot_slam.smoothing import draws, joining, solve
+from multi_robot_slam.smoothing import draws, joining, marginals, solve
 from multi_robot_slam.smoothing.aliases import Aliases
 from multi_robot_slam.smoothing.odometry_scale import Scales, learn
 from multi_robot_slam.smoothing.problem import Problem, problem_of
@@ -254,7 +254,7 @@ def _fix(
     count = first - fixed.count
     motions = np.array([record.motion for record in records[fixed.count :]])
     scales = learn(state.scales, problem, smoothed, motions, count / len(motions))
-    return scales, Fixed(first, *solve.marginalise(problem, smoothed, count))
+    return scales, Fixed(first, *marginals.marginalise(problem, smoothed, count))
 
 
 def _go_on(state: State, drawn: list[Drawn], settings: FilterSettings) -> None:

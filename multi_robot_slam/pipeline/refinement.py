@@ -11,8 +11,8 @@ from multi_robot_slam.models import stereo
 from multi_robot_slam.models.frames import Record
 from multi_robot_slam.models.motion import wrap
 from multi_robot_slam.pipeline.pipeline import Pipeline
-from multi_robot_slam.runs import Run
-from multi_robot_slam.smoothing import joining, solve
+from multi_robot_slam.runs.run import Run
+from multi_robot_slam.smoothing import joining, marginals, solve
 from multi_robot_slam.smoothing.aliases import Aliases
 from multi_robot_slam.smoothing.odometry_scale import Scales, learn
 from multi_robot_slam.smoothing.problem import Problem, problem_of
@@ -198,7 +198,7 @@ def _marginal_covariances(problem: Problem, smoothed: Smoothed) -> np.ndarray:
     covariances = smoothed.landmarks[:, 3:].copy()
     for start in range(0, len(covariances), AT_A_TIME):
         wanted = np.arange(start, min(start + AT_A_TIME, len(covariances)))
-        deviations = solve.landmark_deviations(problem, smoothed, wanted)
+        deviations = marginals.landmark_deviations(problem, smoothed, wanted)
         covariances[wanted] += stereo.pack(deviations @ deviations.transpose(0, 2, 1))
     return covariances
 

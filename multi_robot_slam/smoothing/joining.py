@@ -12,8 +12,8 @@ from scipy.special import chdtrc, chdtri
 
 from multi_robot_slam.models import stereo
 from multi_robot_slam.models.descriptors import squared_distances
-from multi_robot_slam.smoothing import solve
 from multi_robot_slam.smoothing.aliases import Aliases
+from multi_robot_slam.smoothing.marginals import landmark_deviations
 from multi_robot_slam.smoothing.problem import Problem
 from multi_robot_slam.smoothing.solve import Smoothed, SmoothingError
 
@@ -101,7 +101,7 @@ def _mahalanobis_sq(problem: Problem, smoothed: Smoothed, pairs: np.ndarray) -> 
     """D between the landmarks of each pair (A,)."""
     wanted = np.unique(pairs)
     rows = np.searchsorted(wanted, pairs)
-    deviations = solve.landmark_deviations(problem, smoothed, wanted)
+    deviations = landmark_deviations(problem, smoothed, wanted)
     apart = smoothed.landmarks[pairs[:, 0], :3] - smoothed.landmarks[pairs[:, 1], :3]
     covariances = stereo.unpack(smoothed.landmarks[pairs, 3:].sum(axis=1))
     shared = deviations[rows[:, 0]] - deviations[rows[:, 1]]

@@ -15,9 +15,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multi_robot_slam.smoothing import kernels
+from multi_robot_slam.smoothing.cost import odometry_residuals
+from multi_robot_slam.smoothing.kernels.links import odometry_jacobians
 from multi_robot_slam.smoothing.problem import Problem
-from multi_robot_slam.smoothing.solve import Smoothed, SmoothingError, odometry_residuals
+from multi_robot_slam.smoothing.solve import Smoothed, SmoothingError
 
 
 class Scales(NamedTuple):
@@ -72,7 +73,7 @@ def _profile(
     count, poses, unknown = len(motions), smoothed.poses, 2 * len(problem.start_poses)
     jacobians = np.empty((count, 3, 6))
     before = problem.poses_before(poses)
-    kernels.odometry_jacobians(before, problem.sigmas, poses, jacobians)
+    odometry_jacobians(before, problem.sigmas, poses, jacobians)
     by_scale = np.zeros((count, 3, unknown))
     rows, told = np.arange(count), -motions / problem.sigmas
     by_scale[rows, 0, 2 * problem.robots] = told[:, 0]
