@@ -123,7 +123,8 @@ def factorise(envelope: Envelope, elements: np.ndarray) -> Factor:
     is not positive definite.
     """
     edges, begins = envelope.edges, envelope.begins
-    lefts, inverses = [], []
+    lefts: list[np.ndarray] = []
+    inverses: list[np.ndarray] = []
     for i, tile in enumerate(envelope.tiles(elements)):
         left = tile[:, : edges[i] - begins[i]]
         for k in range(begins[i] // edges[1], i):
@@ -161,9 +162,9 @@ def _order(problem: Problem, is_hub: np.ndarray) -> np.ndarray:
     poses, size = len(problem.robots), len(problem.robots) + len(problem.ids)
     out = (problem.seen_from >= 0) & ~is_hub[problem.landmarks]
     following = np.flatnonzero(problem.previous >= 0)
-    one = [problem.seen_from[out], following, problem.sighted.seen_from]
-    other = [poses + problem.landmarks[out], problem.previous[following], problem.sighted.seen]
-    one, other = np.concatenate(one), np.concatenate(other)
+    landmarks, sighted = poses + problem.landmarks[out], problem.sighted
+    one = np.concatenate([problem.seen_from[out], following, sighted.seen_from])
+    other = np.concatenate([landmarks, problem.previous[following], sighted.seen])
     rows, columns = np.append(one, other), np.append(other, one)
     graph = csr_array((np.ones(len(rows), np.int8), (rows, columns)), (size, size))
     order = reverse_cuthill_mckee(graph, symmetric_mode=True).astype(np.int64)

@@ -86,14 +86,16 @@ def smooth(
     Parameters
     ----------
     robust_above : D (18) up to which an observation or sighting counts in full. Beyond it counts
-        less and less and in the end not at all: dynamic covariance scaling (Agarwal, Tipaldi,
-        Spinello, Stachniss, Burgard 2013) of each. The threshold comes down from the largest D
-        of all, so that a loop `poses` leaves open is closed before it could pass for an error.
+        less and less and in the end not at all (`cost`). The threshold comes down from the largest
+        D, so that a loop that `poses` leave open is closed before it could be taken for an error.
     smallest_step : the iteration ends when the step is shorter, in standard deviations of the
         solution.
 
-    `SmoothingError` if the information is not positive definite or not finite, or the iteration
-    does not end.
+    Raises
+    ------
+    SmoothingError
+        The information is not positive definite, something is not finite, or the iteration does
+        not end.
 
     """
     with np.errstate(all="ignore"):  # what is not finite raises `SmoothingError`
@@ -103,12 +105,12 @@ def smooth(
 def _gauss_newton(
     problem: Problem, poses: np.ndarray, robust_above: float, smallest_step: float
 ) -> Smoothed:
+    """`smooth`; the factor of an earlier iteration serves again until it `is_outdated`."""
     envelope = cheapest_envelope(problem)
     weights = np.ones(len(problem.positions) + len(problem.sighted.seen))
     landmarks, mahalanobis_sq = landmarks_and_distances(problem, poses, weights)
     threshold = max(robust_above, mahalanobis_sq.max(initial=0))
-    is_outdated, before = True, np.inf
-    iterations = 0
+    is_outdated, iterations = True, 0
     while True:
         if iterations == MAX_ITERATIONS:
             raise SmoothingError(f"smoothing {len(poses)} poses: no end after {iterations} steps")
@@ -119,9 +121,10 @@ def _gauss_newton(
         if is_outdated:
             factor, before = _factorised(problem, poses, landmarks, weights, envelope), np.inf
         step = -factor.solve_upper(factor.solve_lower(gradient))[: poses.size]
-        length = np.sqrt(-gradient @ step)
-        if not np.isfinite(length):
+        decrease = -gradient @ step
+        if not np.isfinite(decrease):
             raise SmoothingError(f"smoothing {len(poses)} poses: a step is not finite")
+        length = np.sqrt(max(decrease, 0.0))
         poses, landmarks, mahalanobis_sq = _line_search(
             problem, poses, step.reshape(-1, 3), weights, mahalanobis_sq, threshold
         )
@@ -130,10 +133,6 @@ def _gauss_newton(
         is_outdated = threshold > robust_above or length > min(NEAR, before)
         before = length
         threshold = max(robust_above, min(threshold / SHARPENING, mahalanobis_sq.max(initial=0)))
-    else:
-        raise SmoothingError(
-            f"smoothing {len(poses)} poses: no optimum in {MAX_ITERATIONS} iterations"
-        )
     if not is_outdated:
         factor = _factorised(problem, poses, landmarks, weights, envelope)
     final = cost(problem, poses, mahalanobis_sq, robust_above)

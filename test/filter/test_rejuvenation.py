@@ -255,28 +255,47 @@ def test_particles_with_another_history_keep_it():
     assert (state.poses[:, :, :20] != before[:, :, :20]).any(axis=(0, 1)).all()
 
 
-def test_landmarks_a_particle_had_split_are_joined():
-    settings = worlds.settings(particles=10, proposal="informed", gate=1e3, exclusive=True)
-    steps = worlds.drive(5, steps=10)
-    state, _ = run(steps, settings)
-    whole = len(state.landmarks.of_particle(0)[0])
-    split = next(
-        record
-        for record in reversed(state.history.records)
-        if (record.matches[:, 0] != record.new_ids).all()
-    )
-    spare = int(split.new_ids[0])
+def split(state, records):
+    """Give one observation in the first of `records` that fits a landmark of its own, as new."""
+    record = next(r for r in records if (r.matches[:, 0] != r.new_ids).all())
+    spare = int(record.new_ids[0])
     columns = state.landmarks.reserve(1)
     state.landmarks.ids[columns] = spare
-    old = state.landmarks.columns_of(split.matches[:1, 0])
+    old = state.landmarks.columns_of(record.matches[:1, 0])
     state.landmarks.bring_up_to_date(old)
     state.landmarks.planes[columns] = state.landmarks.planes[old]
-    state.landmarks.commit(columns, np.array([10]), state.landmarks.descriptors[old])
-    split.matches = split.matches.copy()
-    split.matches[0] = spare
+    state.landmarks.settle(
+        columns, np.array([len(state.log_weights)]), 0.99 * state.landmarks.descriptors[old]
+    )
+    record.matches = record.matches.copy()
+    record.matches[0] = spare
+
+
+def test_landmarks_a_particle_had_split_are_joined():
+    settings = worlds.settings(particles=10, proposal="informed", gate=1e3, exclusive=True)
+    state, _ = run(worlds.drive(5, steps=10), settings)
+    whole = len(state.landmarks.of_particle(0)[0])
+    split(state, reversed(state.history.records))
     assert len(state.landmarks.of_particle(0)[0]) == whole + 1
     rejuvenated(state, settings)
     assert len(state.landmarks.of_particle(0)[0]) == whole
+    assert_maps_are_the_lineages(state)
+
+
+def test_landmarks_split_before_the_window_are_joined_there():
+    """The first rejuvenation cannot join, since nothing looks alike, and fixes what was split."""
+    settings = worlds.settings(particles=10, proposal="informed", gate=1e3, exclusive=True)
+    settings = replace(settings, rejuvenation=replace(ALWAYS, window=6))
+    state, _ = run(worlds.drive(5, steps=20), settings)
+    whole = len(state.landmarks.of_particle(0)[0])
+    split(state, state.history.records)
+    rejuvenated(state, replace(settings, descriptor_gate=1e-6))
+    assert len(state.landmarks.of_particle(0)[0]) == whole + 1
+    assert state.fixed[0].frames == 54
+    assert_maps_are_the_lineages(state)
+    rejuvenated(state, settings)
+    assert len(state.landmarks.of_particle(0)[0]) == whole
+    assert_maps_are_the_lineages(state)
 
 
 def test_every_particle_has_a_past_of_its_own_and_the_filter_goes_on():
@@ -315,7 +334,7 @@ def test_fixed_poses_stay_and_the_rest_is_as_good_as_with_all_of_them():
     state, few = run(steps, narrow)
     records = state.history.records
     drawn_at = 3 * state.origin_step
-    count = state.fixed[state.fixed_of[rbpf.best_particle(state)]].count
+    count = state.fixed[state.fixed_of[rbpf.best_particle(state)]].frames
     assert drawn_at - 23 < count <= drawn_at - 20
     assert records[count].step > records[count - 1].step
     for a, b in zip(whole, few, strict=True):
@@ -340,7 +359,7 @@ def test_every_particle_holds_just_the_landmarks_of_its_past(seed, alike, gate):
         begins |= {tuple(fixed.known.ids) for fixed in state.fixed}
     assert alone > 0
     assert len(begins) > 3
-    assert max(fixed.count for fixed in state.fixed) > 50
+    assert max(fixed.frames for fixed in state.fixed) > 50
 
 
 def test_best_particle_is_of_the_largest_group():
