@@ -114,6 +114,9 @@ def _mahalanobis_sq(problem: Problem, smoothed: Smoothed, pairs: np.ndarray) -> 
 
 
 def _seen_together(problem: Problem, one: int, other: int) -> bool:
-    """Some frame has observations of both: they are two."""
+    """Some frame has observations of both: they are two.
+
+    Fixed poses count as one frame: which of them saw both is no longer known.
+    """
     first, second = (problem.seen_from[slice(*problem.starts[n : n + 2])] for n in (one, other))
     return bool(len(np.intersect1d(first, second)))

@@ -284,7 +284,7 @@ def test_landmarks_a_particle_had_split_are_joined():
 
 def test_landmarks_split_before_the_window_are_joined_there():
     """The first rejuvenation cannot join, since nothing looks alike, and fixes what was split."""
-    settings = worlds.settings(particles=10, proposal="informed", gate=1e3, exclusive=True)
+    settings = worlds.settings(particles=10, proposal="informed", gate=1e3)
     state, _ = run(worlds.drive(5, steps=20), settings)
     settings = replace(settings, rejuvenation=replace(ALWAYS, window=6))
     whole = len(state.landmarks.of_particle(0)[0])
