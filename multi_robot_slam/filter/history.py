@@ -11,8 +11,8 @@ from itertools import islice
 from typing import NamedTuple, overload
 
 import numpy as np
-from numba import njit
 
+from multi_robot_slam.models.compiled import kernel
 from multi_robot_slam.models.frames import Record, RobotFrame
 from multi_robot_slam.smoothing.aliases import Aliases
 
@@ -188,7 +188,7 @@ def _rewritten(
     return matches
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def sign(signatures: np.ndarray, matches: np.ndarray) -> None:
     """Add the `matches` (B, M) of a frame to the signatures (M,), in place."""
     factor = np.uint64(0x9E3779B97F4A7C15)  # odd, so that no earlier match is ever lost

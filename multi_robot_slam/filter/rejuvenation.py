@@ -162,7 +162,7 @@ def _draw(
 ) -> Drawn:
     """Smooth the history `members` share, and draw a path for each; the first is the optimum."""
     fixed = state.fixed[state.fixed_of[members[0]]]
-    records, poses, identities = _past(state, members, fixed.frames)
+    records, poses, identities = _past(state, members, fixed.records)
     problem, smoothed, aliases = _smooth(
         state.scales.factors, fixed, records, poses, identities, alike, settings
     )
@@ -248,11 +248,11 @@ def _fix(
 ) -> tuple[Scales, Fixed]:
     """The odometry's factors, and the past with the poses before the window fixed: whole steps."""
     records = state.history.records
-    first = max(len(records) - window, fixed.frames)
-    while fixed.frames < first and records[first].step == records[first - 1].step:
+    first = max(len(records) - window, fixed.records)
+    while fixed.records < first and records[first].step == records[first - 1].step:
         first -= 1
-    count = first - fixed.frames
-    motions = np.array([record.motion for record in records[fixed.frames :]])
+    count = first - fixed.records
+    motions = np.array([record.motion for record in records[fixed.records :]])
     scales = learn(state.scales, problem, smoothed, motions, count / len(motions))
     return scales, Fixed(first, *marginals.marginalise(problem, smoothed, count))
 

@@ -14,7 +14,7 @@ from multi_robot_slam.smoothing.problem import Known
 class Fixed(NamedTuple):
     """The oldest part of a past, which rejuvenation no longer moves."""
 
-    frames: int
+    records: int
     """How many records of the history it has."""
     start_poses: np.ndarray
     """(K, 3) float64: x, y [m], yaw [rad] of each robot at its end, in `map`."""

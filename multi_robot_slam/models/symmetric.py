@@ -1,10 +1,11 @@
 """Symmetric 3 x 3 matrices as six numbers, `xx xy xz yy yz zz`: compiled inverses."""
 
 import numpy as np
-from numba import njit
+
+from multi_robot_slam.models.compiled import kernel
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def inverse(
     xx: float, xy: float, xz: float, yy: float, yz: float, zz: float
 ) -> tuple[tuple[float, float, float, float, float, float], float]:
@@ -18,7 +19,7 @@ def inverse(
     return (c_xx * scale, c_xy * scale, c_xz * scale, c_yy, c_yz, c_zz), det
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def inverses(matrices: np.ndarray) -> np.ndarray:
     """Inverses (n, 6) of symmetric `matrices` (n, 6) `xx xy xz yy yz zz`."""
     result = np.empty(matrices.shape)

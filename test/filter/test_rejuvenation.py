@@ -10,12 +10,13 @@ import pytest
 import worlds
 
 from msg_defs.types import ObservationSet
-from multi_robot_slam.filter import rbpf, rejuvenation
+from multi_robot_slam.filter import rbpf, rejuvenation, resampling
 from multi_robot_slam.filter.landmarks import Landmarks
 from multi_robot_slam.filter.settings import NO_REJUVENATION, FilterSettings, RejuvenationSettings
+from multi_robot_slam.filter.state import resample
 from multi_robot_slam.models import stereo
 from multi_robot_slam.models.motion import MotionSettings
-from multi_robot_slam.smoothing import solve
+from multi_robot_slam.smoothing import draws, marginals, solve
 from multi_robot_slam.smoothing.aliases import Aliases
 from multi_robot_slam.smoothing.solve import SmoothingError
 
@@ -264,7 +265,7 @@ def split(state, records):
     old = state.landmarks.columns_of(record.matches[:1, 0])
     state.landmarks.bring_up_to_date(old)
     state.landmarks.planes[columns] = state.landmarks.planes[old]
-    state.landmarks.settle(
+    state.landmarks.commit(
         columns, np.array([len(state.log_weights)]), 0.99 * state.landmarks.descriptors[old]
     )
     record.matches = record.matches.copy()
@@ -291,7 +292,7 @@ def test_landmarks_split_before_the_window_are_joined_there():
     split(state, state.history.records)
     rejuvenated(state, replace(settings, descriptor_gate=1e-6))
     assert len(state.landmarks.of_particle(0)[0]) == whole + 1
-    assert state.fixed[0].frames == 54
+    assert state.fixed[0].records == 54
     assert_maps_are_the_lineages(state)
     rejuvenated(state, settings)
     assert len(state.landmarks.of_particle(0)[0]) == whole
@@ -334,7 +335,7 @@ def test_fixed_poses_stay_and_the_rest_is_as_good_as_with_all_of_them():
     state, few = run(steps, narrow)
     records = state.history.records
     drawn_at = 3 * state.origin_step
-    count = state.fixed[state.fixed_of[rbpf.best_particle(state)]].frames
+    count = state.fixed[state.fixed_of[rbpf.best_particle(state)]].records
     assert drawn_at - 23 < count <= drawn_at - 20
     assert records[count].step > records[count - 1].step
     for a, b in zip(whole, few, strict=True):
@@ -359,7 +360,7 @@ def test_every_particle_holds_just_the_landmarks_of_its_past(seed, alike, gate):
         begins |= {tuple(fixed.known.ids) for fixed in state.fixed}
     assert alone > 0
     assert len(begins) > 3
-    assert max(fixed.frames for fixed in state.fixed) > 50
+    assert max(fixed.records for fixed in state.fixed) > 50
 
 
 def test_best_particle_is_of_the_largest_group():
@@ -419,17 +420,21 @@ def fails_always(*arguments):
     raise SmoothingError("on purpose")
 
 
-@pytest.mark.parametrize("where", ["smooth", "marginalise"])
-def test_failed_smoothing_leaves_the_particles_resampled_and_nothing_else(where, monkeypatch):
+@pytest.mark.parametrize(
+    ("module", "name"), [(solve, "smooth"), (draws, "draw"), (marginals, "marginalise")]
+)
+def test_failed_smoothing_leaves_the_particles_resampled_and_nothing_else(
+    module, name, monkeypatch
+):
     state, settings = in_two_groups(10, 20)
     state.log_weights[:] = np.random.default_rng(0).normal(0, 1, 30)
     expected = deepcopy(state)
     expected.fixed, expected.scales = state.fixed, state.scales
-    monkeypatch.setattr(solve, where, fails_always)
+    monkeypatch.setattr(module, name, fails_always)
     info = rejuvenated(state, replace(settings, rejuvenation=replace(ALWAYS, share=0.1)))
     assert info.failures == ("on purpose",) * 2
     assert (info.groups, info.alone, info.effective_particles) == (0, 30, 0)
-    rbpf.resample(expected, info.ancestors)
+    resample(expected, info.ancestors)
     assert_same_state(state, expected)
 
 

@@ -4,13 +4,13 @@
 """
 
 import numpy as np
-from numba import njit
 
+from multi_robot_slam.models.compiled import kernel
 from multi_robot_slam.models.symmetric import inverse
 from multi_robot_slam.smoothing.kernels.landmarks import covariance_root, weighted_jacobian
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def add_links(links, system):
     """Add J^T J (lower triangle) of the links."""
     ends, _, jacobians = links
@@ -25,7 +25,7 @@ def add_links(links, system):
                     elements[origins[row] + column] += np.sum(jacobian[:, i] * jacobian[:, j])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def add_observations(observations, poses, landmarks, system):
     """Add the observations' part of H (lower triangle), landmarks that are no hubs eliminated."""
     starts, seen_from, _, information = observations
@@ -56,7 +56,7 @@ def add_observations(observations, poses, landmarks, system):
             subtract_pairs(roots, first, starts[n + 1], seen_from, system)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def multiply(a, lower, result):
     """A (3, 3) times a lower triangle."""
     for i in range(3):
@@ -66,7 +66,7 @@ def multiply(a, lower, result):
                 result[i, j] += a[i, k] * lower[k, j]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def add_transposed(own, row, column, system):
     """Add own^T (3, 3) to the block of H at `row`, `column`."""
     for i in range(3):
@@ -74,7 +74,7 @@ def add_transposed(own, row, column, system):
             system.elements[system.origins[row + i] + column + j] += own[j, i]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def add_hub(landmark, row, system):
     """Add a hub's own information."""
     _, _, origins, elements = system
@@ -89,7 +89,7 @@ def add_hub(landmark, row, system):
     elements[origins[row + 2] + row + 2] += zz
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def subtract_pairs(roots, first, last, seen_from, system):
     """Eliminate a landmark: subtract the product of the `roots` of any two of its observations."""
     for o in range(first, last):
@@ -103,7 +103,7 @@ def subtract_pairs(roots, first, last, seen_from, system):
                 subtract_product(roots[other], roots[o], row, row, system)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def subtract_product(a, b, row, column, system):
     """Subtract a b^T (3, 3) from the block of H at `row`, `column`."""
     for i in range(3):

@@ -5,12 +5,12 @@
 """
 
 import numpy as np
-from numba import njit
 
+from multi_robot_slam.models.compiled import kernel
 from multi_robot_slam.models.symmetric import inverse
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def turned(information, c, s):
     """Rz R^-1 Rz^T: (5,) xx xy xz yy yz; zz stays."""
     xx, xy, xz = information[0], information[1], information[2]
@@ -25,7 +25,7 @@ def turned(information, c, s):
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def difference(pose, landmark, v):
     """Landmark minus pose and e = l - p - Rz v: (q_x, q_y, e_x, e_y, e_z)."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
@@ -33,7 +33,7 @@ def difference(pose, landmark, v):
     return q_x, q_y, q_x - c * v[0] + s * v[1], q_y - s * v[0] - c * v[1], landmark[2] - v[2]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def fit_landmarks(observations, poses, landmarks):
     """Mean and covariance (N, 9) of the landmarks: sums of information, as the EKFs hold them."""
     starts, seen_from, positions, information = observations
@@ -58,7 +58,7 @@ def fit_landmarks(observations, poses, landmarks):
         landmarks[n, 6], landmarks[n, 7], landmarks[n, 8] = yy, yz, zz
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def mahalanobis_sq(observations, poses, landmarks, result):
     """D (O,) of each observation: e^T W e."""
     starts, seen_from, positions, information = observations
@@ -71,7 +71,7 @@ def mahalanobis_sq(observations, poses, landmarks, result):
             result[o] += 2 * (xy * x * y + xz * x * z + yz * y * z)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def sighting_mahalanobis_sq(sightings, poses, result):
     """D (S,) of each sighting."""
     seen_from, seen, positions, information = sightings
@@ -84,7 +84,7 @@ def sighting_mahalanobis_sq(sightings, poses, result):
         result[o] = xx * x * x + 2 * xy * x * y + yy * y * y
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def weighted_jacobian(information, pose, q_x, q_y, result):
     """J^T W (3, 3) of one observation."""
     xx, xy, xz, yy, yz = turned(information, np.cos(pose[2]), np.sin(pose[2]))
@@ -95,7 +95,7 @@ def weighted_jacobian(information, pose, q_x, q_y, result):
     result[2, 2] = q_y * xz - q_x * yz
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def covariance_root(landmark):
     """Lower Cholesky factor (3, 3) of the covariance in `landmark` (9,)."""
     root = np.zeros((3, 3))
@@ -107,7 +107,7 @@ def covariance_root(landmark):
     return root
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def add_landmark_jacobians(wanted, observations, poses, landmarks, jacobians):
     """Add dl/dx = -Lambda^-1 sum W J of the landmarks `wanted` (A,) to `jacobians`
     (3 A, 3 P).

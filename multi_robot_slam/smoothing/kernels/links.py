@@ -4,12 +4,12 @@
 """
 
 import numpy as np
-from numba import njit
 
+from multi_robot_slam.models.compiled import kernel
 from multi_robot_slam.smoothing.kernels.landmarks import difference, weighted_jacobian
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def odometry_jacobians(before, sigmas, poses, jacobians):
     """Derivatives of the residuals by pose before and pose, (P, 3, 6), whitened."""
     for p in range(len(jacobians)):
@@ -22,7 +22,7 @@ def odometry_jacobians(before, sigmas, poses, jacobians):
             jacobians[p, i] /= sigmas[p, i]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def link_sightings(sightings, poses, residuals, jacobians):
     """Residuals (S, 3), and their derivatives (S, 3, 6) by pose that sees and pose seen, whitened.
 
@@ -40,7 +40,7 @@ def link_sightings(sightings, poses, residuals, jacobians):
         whiten(information[o], jacobians[o], residuals[o])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def whiten(information, jacobian, residual):
     """Multiply both, in place, with the upper root (2, 2) of the information `xx xy yy`."""
     xx = np.sqrt(information[0])
@@ -52,7 +52,7 @@ def whiten(information, jacobian, residual):
     residual[1] *= yy
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def add_link_gradient(links, gradient):
     """Add J^T r of the links."""
     ends, residuals, jacobians = links
@@ -63,7 +63,7 @@ def add_link_gradient(links, gradient):
                 gradient[at] += np.sum(jacobians[i, :, j] * residuals[i])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def add_observation_gradient(observations, poses, landmarks, gradient):
     """Add J^T W e of the observations."""
     starts, seen_from, positions, information = observations

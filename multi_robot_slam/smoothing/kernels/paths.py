@@ -4,8 +4,8 @@ Blocks of particles are handled together, see `draws._blocks`.
 """
 
 import numpy as np
-from numba import njit
 
+from multi_robot_slam.models.compiled import kernel
 from multi_robot_slam.models.parallel import BLOCK
 from multi_robot_slam.models.symmetric import inverse
 
@@ -22,7 +22,7 @@ LOGARITHM_EVERY = 16
 """Landmarks whose determinants are multiplied before a logarithm is taken."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def weigh(first, last, paths, blocks, odometry, sightings, observations, planes, neg2_log_density):
     """Landmarks (N, 9, M) and -2 log p (M,) of particles first .. last - 1, whole blocks."""
     for low in range(first, last, BLOCK):
@@ -32,7 +32,7 @@ def weigh(first, last, paths, blocks, odometry, sightings, observations, planes,
         add_landmarks(observations, blocks[low // BLOCK], low, planes, neg2_log_density[low:high])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def add_odometry(odometry, paths, block, low, neg2_log_density):
     """Add the neg2_log_density residuals of the odometry."""
     starts, previous, motions, sigmas = odometry
@@ -52,7 +52,7 @@ def add_odometry(odometry, paths, block, low, neg2_log_density):
             neg2_log_density[m] += e_x * e_x + e_y * e_y + (turn * s_yaw) * (turn * s_yaw)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def add_sightings(sightings, paths, block, low, neg2_log_density):
     """Add D of the sightings."""
     seen_from, seen, positions, information = sightings
@@ -66,7 +66,7 @@ def add_sightings(sightings, paths, block, low, neg2_log_density):
             neg2_log_density[m] += xx * e_x * e_x + 2 * xy * e_x * e_y + yy * e_y * e_y
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def add_landmarks(observations, block, low, planes, neg2_log_density):
     """Landmarks of one block of particles; add D_n + log det Lambda_n of each."""
     starts, seen_from, positions, information = observations
@@ -90,7 +90,7 @@ def add_landmarks(observations, block, low, planes, neg2_log_density):
             determinants[:] = 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def most_certain(information, first, last):
     """The observation whose information has the largest determinant, off its diagonal aside."""
     best, largest = first, -1.0
@@ -101,7 +101,7 @@ def most_certain(information, first, last):
     return best
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def place(pose, v, local):
     """Where each particle sees v: the centre."""
     for m in range(BLOCK):
@@ -109,7 +109,7 @@ def place(pose, v, local):
         local[CENTRE_Y, m] = pose[Y, m] + (pose[SIN, m] * v[0] + pose[COS, m] * v[1])
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def add_observation(pose, v_x, v_y, e_z, own, half_sum, local):
     """Add one observation to the sums; its information turned by trigonometry of the double angle.
 
@@ -137,7 +137,7 @@ def add_observation(pose, v_x, v_y, e_z, own, half_sum, local):
         local[QUADRATIC, m] += h_x * e_x + h_y * e_y + h_z * e_z
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def finish(local, half_sum, zz, height, low, plane, neg2_log_density, determinants):
     """Sums -> mean and covariance `plane` (9, M), D_n, det Lambda_n over a power of its trace."""
     scale = 1 / (float(half_sum) * float(half_sum) * float(zz))
