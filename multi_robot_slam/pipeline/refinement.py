@@ -1,4 +1,4 @@
-"""Batch smoothing of a whole run: the filter's answer refined, and the yardstick it is held to."""
+"""Smoothing of a whole run: the filter's answer refined, and the yardstick it is held to."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -10,6 +10,7 @@ from multi_robot_slam.config import Config
 from multi_robot_slam.models import stereo
 from multi_robot_slam.models.frames import Record
 from multi_robot_slam.models.motion import wrap
+from multi_robot_slam.models.parallel import one_thread
 from multi_robot_slam.pipeline.pipeline import Pipeline
 from multi_robot_slam.runs.run import Run
 from multi_robot_slam.smoothing import joining, marginals, solve
@@ -22,20 +23,20 @@ Lineage = Sequence[tuple[Record, int]]
 """The past of one particle, oldest first: its row in each record (`Pipeline.lineage`)."""
 
 MAX_FRAMES = 20_000
-"""Smoothing so many took 10 s and 1.2 GB in simulated tours; both grow with their square."""
+"""Smoothing this many took 10 s and 1.2 GB in simulated tours; both grow with the square."""
 
 AT_A_TIME = 64
-"""Landmarks whose deviations, as long as all paths, are in memory together."""
+"""Landmarks whose deviations are in memory together; each is as long as all paths."""
 
 SMALLEST_CHANGE = 1e-4
-"""Of a factor of the odometry [1]: a millimetre in ten metres; then paths and factors are done."""
+"""Change of the odometry's factors below which paths and factors are done: 1 mm in 10 m."""
 MOST_ROUNDS = 20
-"""Of smoothing and learning the factors; in a usual run they need four."""
+"""Times that paths and factors are estimated in turn; a usual run needs four."""
 
 
 @dataclass(frozen=True, eq=False)
 class Refined:
-    """The most likely paths and map, given what the best particle took for what."""
+    """The most likely paths and map, given the best particle's data association."""
 
     paths: dict[str, Trajectory]
     landmarks: LandmarkMap
@@ -80,6 +81,7 @@ def _warned(run: Run, warning: str) -> Run:
     return replace(run, warnings=(*run.warnings, warning))
 
 
+@one_thread
 def refine(lineage: Lineage, landmarks: LandmarkMap, config: Config) -> Refined:
     """Smooth over the best particle's associations, robustly, and join landmarks it had split.
 
@@ -114,19 +116,20 @@ def refine(lineage: Lineage, landmarks: LandmarkMap, config: Config) -> Refined:
     return Refined(paths, _map(problem, smoothed, landmarks))
 
 
+@one_thread
 def yardstick(
     lineage: Lineage, truth: Mapping[tuple[str, int], np.ndarray], config: Config
 ) -> dict[str, Trajectory] | None:
     """The best answer there is: paths by least squares with the true associations.
 
-    What is certainly a gross error, as real recordings have them, counts less: D that not even one
-    of all the run's observations should reach. Without any, these are plain least squares.
+    Gross errors, as real recordings have them, count less: observations whose D is larger than
+    any of the run's should be. Without gross errors this is plain least squares.
 
     Parameters
     ----------
-    lineage : any particle's past; only where it starts the search from is its own.
-    truth : (robot, stamp_ns) -> (B,) true landmark of each observation; with that of one frame
-        missing there is no yardstick.
+    lineage : any particle's past; the search starts from its path.
+    truth : (robot, stamp_ns) -> (B,) true landmark of each observation; where that of one frame
+        is missing there is no yardstick.
 
     `SmoothingError` if there is no optimum.
 

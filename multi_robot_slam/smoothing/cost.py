@@ -61,6 +61,6 @@ def robust(mahalanobis_sq: np.ndarray, thresholds: np.ndarray) -> np.ndarray:
 def cost(
     problem: Problem, poses: np.ndarray, mahalanobis_sq: np.ndarray, threshold: float
 ) -> float:
-    """Half the sum of mahalanobis_sq, robust, whitened residuals."""
+    """Half the sum of squared, robust, whitened residuals."""
     distances = robust(mahalanobis_sq, thresholds_of(problem, threshold))
     return 0.5 * float(np.sum(odometry_residuals(problem, poses) ** 2) + np.sum(distances))

@@ -5,7 +5,7 @@ poses that saw it. A few landmarks, the hubs, are kept as unknowns instead, afte
 chooses them), those seen early last. L fills each row from its first block that is not zero up to
 the diagonal, the envelope, and nothing else (George, Liu: Computer solution of large sparse
 positive definite systems, 1981). Reverse Cuthill-McKee brings poses that saw the same landmarks
-together, however much later a loop was closed, which keeps the envelope small: for a tour of a
+together, however late a loop was closed, which keeps the envelope small: for a tour of a
 building a fifth of the triangle, and a twentieth of its arithmetic. Rows and columns are handled in
 tiles, each product of tiles by BLAS.
 

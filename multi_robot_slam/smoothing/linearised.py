@@ -65,7 +65,7 @@ def information_of(
 
 
 def _links(problem: Problem, poses: np.ndarray, weights: np.ndarray) -> Links:
-    """Odometry and sightings."""
+    """Odometry and sightings, along one path."""
     count = len(poses)
     previous = np.column_stack([problem.previous, np.arange(count)])
     sightings = problem.sightings(weights)

@@ -1,4 +1,4 @@
-"""What a batch of frames measured, in the form that the smoothing solves."""
+"""What a history of frames measured, in the form that smoothing solves."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -18,7 +18,7 @@ hundredth of a millimetre is nothing beside what any camera sees.
 """
 
 MAP = -1
-"""Stands for the pose an observation was made from if its position is in `map` already."""
+"""Stands for the pose of an observation whose position is in `map` already."""
 
 
 class PoseSightings(NamedTuple):

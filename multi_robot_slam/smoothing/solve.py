@@ -1,4 +1,4 @@
-"""Batch smoothing: the most likely paths of all robots and landmarks, given who saw what.
+"""Smoothing: the most likely paths of all robots and landmarks, given who saw what.
 
 Unknown are P poses x_p = (x, y, yaw) and N landmarks l_n. Three kinds of residuals tie them
 together:
@@ -18,10 +18,10 @@ with the landmarks at their best the Schur complement of the full system is
     H = H_odometry + H_sightings
         + sum_o J^T W J - sum_n (sum_i J_i^T W_i) Lambda^-1 (sum_j W_j J_j)
 
-with J = de/dx = [-1 0 q_y; 0 -1 -q_x; 0 0 0], q = l - p. A landmark that this would make too dense
+with J = de/dx = [-1 0 q_y; 0 -1 -q_x; 0 0 0], q = l - p. A landmark that would make it too dense
 stays an unknown (`hubs`): W J and Lambda become rows of H. Its part of the gradient is zero, since
 it is at its best. The Cholesky factor of H (`envelope`) also draws paths from the Gaussian around
-the optimum (`whole_paths`).
+the optimum (`draws`).
 """
 
 from dataclasses import dataclass

@@ -68,7 +68,7 @@ def test_corridor_has_no_hubs():
 
 
 @pytest.mark.parametrize("share", [0.5, 1])
-def test_hubs_may_be_known_from_settled_poses_alone(monkeypatch, share):
+def test_hubs_may_be_known_from_fixed_poses_alone(monkeypatch, share):
     state, settings = filtered(steps=8)
     records, identities, poses = remembered(state)
     whole = problem_of(records, identities, worlds.START, settings.motion)

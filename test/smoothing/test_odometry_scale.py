@@ -59,7 +59,7 @@ def test_the_step_is_newton_s_on_the_cost_with_the_paths_at_their_best():
     assert (learnt.information == scales.information).all()
 
 
-def test_settled_poses_leave_what_they_say():
+def test_fixed_poses_leave_what_they_say():
     records, identities, poses = history()
     motions = np.array([record.motion for record in records])
     scales = Scales.unknown(3, 0.1)

@@ -316,8 +316,8 @@ def test_threads_of_the_linear_algebra_change_no_byte():
 
 @pytest.mark.parametrize("sighted", [False, True])
 @pytest.mark.parametrize("robust_above", [np.inf, GATE])
-def test_optimum_stays_when_older_poses_settle(sighted, robust_above):
-    """Twice: what settles the second time includes what is known from the first."""
+def test_optimum_stays_when_older_poses_are_fixed(sighted, robust_above):
+    """Twice: what is fixed the second time includes what is known from the first."""
     state, settings = filtered(steps=15)
     records, identities, poses = remembered(state, sighted=sighted)
     start, known, first = worlds.START, Known.nothing(), 0

@@ -34,7 +34,7 @@ def weigh(first, last, paths, blocks, odometry, sightings, observations, planes,
 
 @kernel
 def add_odometry(odometry, paths, block, low, neg2_log_density):
-    """Add the neg2_log_density residuals of the odometry."""
+    """Add the squared residuals of the odometry."""
     starts, previous, motions, sigmas = odometry
     for p in range(len(paths)):
         q, (u_x, u_y, u_yaw), (s_x, s_y, s_yaw) = previous[p], motions[p], 1 / sigmas[p]
@@ -77,14 +77,16 @@ def add_landmarks(observations, block, low, planes, neg2_log_density):
         height = positions[centre, 2]
         local[:CENTRE_X] = 0
         place(block[seen_from[centre]], positions[centre], local)
-        sum_half_sum, sum_zz = local.dtype.type(0), local.dtype.type(0)
+        total_half_sum, total_zz = local.dtype.type(0), local.dtype.type(0)
         for o in range(starts[n], starts[n + 1]):
             v, own = positions[o], information[o]
             half_sum = (own[0] + own[3]) * local.dtype.type(0.5)
             add_observation(block[seen_from[o]], v[0], v[1], v[2] - height, own, half_sum, local)
-            sum_half_sum += half_sum
-            sum_zz += own[5]
-        finish(local, sum_half_sum, sum_zz, height, low, planes[n], neg2_log_density, determinants)
+            total_half_sum += half_sum
+            total_zz += own[5]
+        finish(
+            local, total_half_sum, total_zz, height, low, planes[n], neg2_log_density, determinants
+        )
         if n % LOGARITHM_EVERY == 0 or n == len(planes) - 1:
             neg2_log_density += np.log(determinants)
             determinants[:] = 1
@@ -111,9 +113,9 @@ def place(pose, v, local):
 
 @kernel
 def add_observation(pose, v_x, v_y, e_z, own, half_sum, local):
-    """Add one observation to the sums; its information turned by trigonometry of the double angle.
+    """Add one observation to the sums; its information is turned by twice the yaw.
 
-    xx, yy = half_sum +- half_diff, which saves a third of the multiplications.
+    In the map frame xx and yy are half_sum +- half_diff: a third of the multiplications is saved.
     """
     own_half_diff = (own[0] - own[3]) * local.dtype.type(0.5)
     for m in range(BLOCK):
