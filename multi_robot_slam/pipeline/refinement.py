@@ -12,7 +12,7 @@ from multi_robot_slam.models.frames import Record
 from multi_robot_slam.models.motion import wrap
 from multi_robot_slam.models.parallel import one_thread
 from multi_robot_slam.pipeline.pipeline import Pipeline
-from multi_robot_slam.runs.run import Run
+from multi_robot_slam.runs import Run
 from multi_robot_slam.smoothing import joining, marginals, solve
 from multi_robot_slam.smoothing.aliases import Aliases
 from multi_robot_slam.smoothing.odometry_scale import Scales, learn
@@ -74,7 +74,7 @@ def with_yardstick(run: Run, lineage: Lineage) -> Run:
         paths = yardstick(lineage, run.observation_truth, run.config)
     except SmoothingError as error:
         return _warned(run, f"no yardstick: {error}")
-    return run if paths is None else run.with_paths(batch=paths)
+    return run if paths is None else run.with_paths(yardstick=paths)
 
 
 def _warned(run: Run, warning: str) -> Run:

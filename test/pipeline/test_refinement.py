@@ -231,7 +231,7 @@ def test_run_that_cannot_be_smoothed_goes_on_unrefined(explored, monkeypatch):
     assert yardstick.startswith("no yardstick: smoothing ")
     assert refined.startswith("not refined: smoothing ")
     robot = run.robots["robot_1"]
-    assert len(robot.refined.stamps_ns) == len(robot.batch.stamps_ns) == 0 < len(robot.mean.poses)
+    assert len(robot.refined.poses) == len(robot.yardstick.poses) == 0 < len(robot.mean.poses)
 
 
 def test_command_refines(command, tmp_path):
@@ -249,5 +249,5 @@ def test_live_run_has_the_yardstick_of_its_bag(tmp_path):
     _, config = recordings.record(tmp_path / "bag", is_live=True)
     live = offline.load(tmp_path / "bag")
     again = offline.estimate(tmp_path / "bag", config, warn=lambda text: None)
-    batch = {name: robot.yardstick for name, robot in live.robots.items()}
-    assert_same_paths(batch, {n: robot.yardstick for n, robot in again.robots.items()}, atol=1e-4)
+    paths = {name: robot.yardstick for name, robot in live.robots.items()}
+    assert_same_paths(paths, {n: robot.yardstick for n, robot in again.robots.items()}, atol=1e-4)
