@@ -119,7 +119,7 @@ class Drawn(NamedTuple):
     scales: Scales
     """Factors of the odometry."""
     planes: np.ndarray
-    """(N, 9, n): its mean and covariance, as in `Landmarks`."""
+    """(N, 9, n): mean and covariance of each landmark, as in `Landmarks`."""
     log_weights: np.ndarray
     """(n,) float64: logarithm of the weights, tempered; their mean weight is 1."""
     effective_particles: float
