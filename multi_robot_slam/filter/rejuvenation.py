@@ -178,11 +178,12 @@ def _draw(
     log_weights = tempered(exact)
     log_weights -= log_weights.max()
     log_weights -= np.log(np.exp(log_weights).mean())
+    renamed = aliases.among(fixed.known.ids)
     scales, fixed = _fix(state, fixed, problem, smoothed, settings.rejuvenation.window)
     identities = [aliases.of(own) for own in identities]
     signature = signature_of([*identities, fixed.known.ids.astype(np.int32)])
     return Drawn(
-        Past(members, paths, identities, aliases, signature),
+        Past(members, paths, identities, renamed, signature),
         problem,
         fixed,
         scales,

@@ -23,6 +23,11 @@ class Aliases:
         places = np.searchsorted(self._old, ids).clip(max=len(self) - 1)
         return np.where(self._old[places] == ids, self._new[places], ids).astype(ids.dtype)
 
+    def among(self, ids: np.ndarray) -> "Aliases":
+        """Those of `ids` (N,) alone."""
+        of_these = np.isin(self._old, ids)
+        return Aliases(self._old[of_these], self._new[of_these])
+
     def joined(self, pairs: np.ndarray) -> "Aliases":
         """These, and from now on pairs[:, 1] go by pairs[:, 0]: (A, 2) ids, each once at most."""
         order = np.argsort(pairs[:, 1])

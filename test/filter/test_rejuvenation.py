@@ -299,6 +299,21 @@ def test_landmarks_split_before_the_window_are_joined_there():
     assert_maps_are_the_lineages(state)
 
 
+def test_what_is_fixed_is_not_touched_where_nothing_in_it_is_renamed():
+    settings = worlds.settings(particles=10, proposal="informed", gate=1e3, exclusive=True)
+    state, _ = run(worlds.drive(5, steps=20), settings)
+    settings = replace(settings, rejuvenation=replace(ALWAYS, window=6))
+    rejuvenated(state, settings)
+    whole = len(state.landmarks.of_particle(0)[0])
+    split(state, reversed(state.history.records))
+    before = [record.matches for record in state.history.records[: state.fixed[0].records]]
+    rejuvenated(state, settings)
+    assert len(state.landmarks.of_particle(0)[0]) == whole
+    assert len(before) == 54
+    for record, matches in zip(state.history.records, before, strict=False):
+        assert record.matches is matches
+
+
 def test_every_particle_has_a_past_of_its_own_and_the_filter_goes_on():
     steps = worlds.drive(6, steps=40)
     settings = worlds.settings(particles=50, proposal="informed", resample_below=0.5)
@@ -479,6 +494,7 @@ def test_aliases_replace_ids_through_several_joins(pairs):
     aliases = aliases.joined(np.array([[0, 1]]))
     expected = np.array([0, 0, 2, 0 if [1, 5] in pairs else 5, 0 if [0, 7] in pairs else 7])
     assert aliases.of(np.array([0, 1, 2, 5, 7])).tolist() == expected.tolist()
+    assert aliases.among(np.array([1, 2])).of(np.array([1, 5, 7])).tolist() == [0, 5, 7]
 
 
 @pytest.mark.parametrize("spread", [0.1, 2.0, 30.0])
