@@ -17,7 +17,6 @@ from multi_robot_slam.filter.state import resample
 from multi_robot_slam.models import stereo
 from multi_robot_slam.models.motion import MotionSettings
 from multi_robot_slam.smoothing import draws, marginals, solve
-from multi_robot_slam.smoothing.aliases import Aliases
 from multi_robot_slam.smoothing.solve import SmoothingError
 
 ALWAYS = RejuvenationSettings(ancestors_below=1.0)
@@ -486,15 +485,6 @@ def test_history_that_cannot_be_smoothed_stays_and_the_others_go_on(monkeypatch)
     assert (state.poses[:, :, :10] != before.poses[:, :, :10]).any(axis=(0, 1)).all()
     assert rbpf.best_particle(state) >= 10
     assert_maps_are_the_lineages(state)
-
-
-@pytest.mark.parametrize("pairs", [[], [[1, 5]], [[1, 5], [0, 7]]])
-def test_aliases_replace_ids_through_several_joins(pairs):
-    aliases = Aliases().joined(np.array(pairs, int).reshape(-1, 2))
-    aliases = aliases.joined(np.array([[0, 1]]))
-    expected = np.array([0, 0, 2, 0 if [1, 5] in pairs else 5, 0 if [0, 7] in pairs else 7])
-    assert aliases.of(np.array([0, 1, 2, 5, 7])).tolist() == expected.tolist()
-    assert aliases.among(np.array([1, 2])).of(np.array([1, 5, 7])).tolist() == [0, 5, 7]
 
 
 @pytest.mark.parametrize("spread", [0.1, 2.0, 30.0])

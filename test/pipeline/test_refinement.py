@@ -12,7 +12,6 @@ from msg_defs.types import StereoCamera
 from multi_robot_slam import runs
 from multi_robot_slam.pipeline import offline, refinement
 from multi_robot_slam.pipeline.pipeline import Pipeline
-from multi_robot_slam.smoothing import joining
 from sim_world.scenario import Scenario
 from sim_world.simulator import Simulation
 
@@ -189,12 +188,6 @@ def test_refined_map_has_the_errors_it_claims(explored):
     effective = len(values) / 10
     low, high = chi2.ppf([0.001, 0.999], 3 * effective) / effective
     assert low < np.mean(values) < high
-
-
-def test_widened_gate_lets_a_run_pass_as_one_observation_does():
-    for count in (1, 100, 7000):
-        together = chi2.cdf(joining.widened_gate(11.345, count), 3) ** count
-        assert together == pytest.approx(0.99, abs=1e-4)
 
 
 def test_nothing_is_refined_to_nothing(explored):
