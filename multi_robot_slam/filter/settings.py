@@ -53,7 +53,8 @@ class FilterSettings:
     robust_above: Annotated[
         float,
         Gt(0),
-        "in smoothing, D up to which an observation or sighting counts in full; far above, nothing",
+        "in smoothing, D up to which an observation or sighting counts in full; far above it is "
+        "nothing; as D_0, 99 % of chi2 with 3 dof (of a sighting, with 2 dof, 99.7 %)",
     ] = 11.345
     resample_below: Annotated[
         float, Interval(ge=0, le=1), "resample below this share of M effective; 1 = every step"

@@ -11,11 +11,11 @@ from multi_robot_slam.smoothing.odometry_scale import Scales
 from multi_robot_slam.smoothing.problem import Known
 
 
-class Settled(NamedTuple):
-    """The oldest part of the history, which rejuvenation leaves as it is."""
+class Fixed(NamedTuple):
+    """The oldest part of a past, which rejuvenation no longer moves."""
 
     records: int
-    """Records of the history that it has."""
+    """How many records of the history it has."""
     start_poses: np.ndarray
     """(K, 3) float64: x, y [m], yaw [rad] of each robot at its end, in `map`."""
     known: Known
@@ -42,10 +42,14 @@ class State:
     """(M,) int32: the particle right after the last rejuvenation that each descends from."""
     origin_step: int = 0
     """The step of the last rejuvenation."""
-    settled: Settled = field(init=False)
+    fixed: tuple[Fixed, ...] = field(init=False)
+    """One for each set of landmarks that the fixed parts of some particles' pasts hold."""
+    fixed_of: np.ndarray = field(init=False)
+    """(M,) int32: which of `fixed` each particle's past begins with."""
 
     def __post_init__(self) -> None:
-        self.settled = Settled(0, self.start_poses, Known.nothing())
+        self.fixed = (Fixed(0, self.start_poses, Known.nothing()),)
+        self.fixed_of = np.zeros(len(self.log_weights), np.int32)
         self.origins = np.arange(len(self.log_weights), dtype=np.int32)
 
 
@@ -57,3 +61,4 @@ def resample(state: State, ancestors: np.ndarray) -> None:
     state.landmarks.resample(ancestors)
     state.history.resample(ancestors)
     state.origins = state.origins[ancestors]
+    state.fixed_of = state.fixed_of[ancestors]

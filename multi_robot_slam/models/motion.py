@@ -54,8 +54,10 @@ def increment(previous: np.ndarray, current: np.ndarray) -> np.ndarray:
     return np.array([cos * dx + sin * dy, cos * dy - sin * dx, wrap(dyaw)])
 
 
-def standard_deviations(motion: np.ndarray, seconds: float, noise: MotionSettings) -> np.ndarray:
-    """Standard deviations (3,) of `motion` (3,) that took `seconds`, in its own units."""
+def standard_deviations(
+    motion: np.ndarray, seconds: float | np.ndarray, noise: MotionSettings
+) -> np.ndarray:
+    """Standard deviations (3, ...) of `motion` (3, ...) that took `seconds`, in its own units."""
     root = np.sqrt(np.hypot(motion[0], motion[1]))
     turn, time = np.sqrt(abs(motion[2])), np.sqrt(seconds)
     return np.array(

@@ -1,4 +1,4 @@
-"""Batch smoothing of a whole run: the filter's answer refined, and the yardstick it is held to."""
+"""Smoothing of a whole run: the filter's answer refined, and the yardstick it is held to."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -10,31 +10,33 @@ from multi_robot_slam.config import Config
 from multi_robot_slam.models import stereo
 from multi_robot_slam.models.frames import Record
 from multi_robot_slam.models.motion import wrap
+from multi_robot_slam.models.parallel import one_thread
 from multi_robot_slam.pipeline.pipeline import Pipeline
 from multi_robot_slam.runs import Run
-from multi_robot_slam.smoothing import joining, solve
+from multi_robot_slam.smoothing import joining, marginals, solve
+from multi_robot_slam.smoothing.aliases import Aliases
 from multi_robot_slam.smoothing.odometry_scale import Scales, learn
 from multi_robot_slam.smoothing.problem import Problem, problem_of
-from multi_robot_slam.smoothing.solve import Smoothed
+from multi_robot_slam.smoothing.solve import Smoothed, SmoothingError
 
 Lineage = Sequence[tuple[Record, int]]
 """The past of one particle, oldest first: its row in each record (`Pipeline.lineage`)."""
 
 MAX_FRAMES = 20_000
-"""Smoothing so many took 10 s and 1.2 GB in simulated tours; both grow with their square."""
+"""Smoothing this many took 10 s and 1.2 GB in simulated tours; both grow with the square."""
 
 AT_A_TIME = 64
-"""Landmarks whose deviations, as long as all paths, are in memory together."""
+"""Landmarks whose deviations are in memory together; each is as long as all paths."""
 
 SMALLEST_CHANGE = 1e-4
-"""Of a factor of the odometry [1]: a millimetre in ten metres; then paths and factors are done."""
+"""Change of the odometry's factors below which paths and factors are done: 1 mm in 10 m."""
 MOST_ROUNDS = 20
-"""Of smoothing and learning the factors; in a usual run they need four."""
+"""Times that paths and factors are estimated in turn; a usual run needs four."""
 
 
 @dataclass(frozen=True, eq=False)
 class Refined:
-    """The most likely paths and map, given what the best particle took for what."""
+    """The most likely paths and map, given the best particle's data association."""
 
     paths: dict[str, Trajectory]
     landmarks: LandmarkMap
@@ -44,33 +46,47 @@ class Refined:
 def complete(run: Run, pipeline: Pipeline, with_refined: bool = False) -> Run:
     """The run with what only the filter's history tells.
 
-    The mean of all particles' paths, the yardstick, and, if wanted, the refined paths and map.
+    The mean of all particles' paths, the yardstick, and, if wanted, the refined paths and map. What
+    smoothing cannot give is missing, with a warning.
     """
     lineage = pipeline.lineage()
     run = with_yardstick(run.with_paths(mean=pipeline.mean_trajectories()), lineage)
     if not with_refined:
         return run
     if len(lineage) > MAX_FRAMES:
-        warning = f"not refined: {len(lineage)} frames, and {MAX_FRAMES} are the most"
-        return replace(run, warnings=(*run.warnings, warning))
-    refined = refine(lineage, run.landmarks, run.config)
+        return _warned(run, f"not refined: {len(lineage)} frames, and {MAX_FRAMES} are the most")
+    try:
+        refined = refine(lineage, run.landmarks, run.config)
+    except SmoothingError as error:
+        return _warned(run, f"not refined: {error}")
     run = run.with_paths(refined=refined.paths)
     return replace(run, refined_landmarks=refined.landmarks)
 
 
 def with_yardstick(run: Run, lineage: Lineage) -> Run:
-    """The run with the yardstick, if all associations are known and the frames not too many."""
-    paths = None
-    if len(lineage) <= MAX_FRAMES:
+    """The run with the yardstick, if all associations are known and the frames not too many.
+
+    If it cannot be computed, a warning says why.
+    """
+    if len(lineage) > MAX_FRAMES:
+        return run
+    try:
         paths = yardstick(lineage, run.observation_truth, run.config)
+    except SmoothingError as error:
+        return _warned(run, f"no yardstick: {error}")
     return run if paths is None else run.with_paths(yardstick=paths)
 
 
+def _warned(run: Run, warning: str) -> Run:
+    return replace(run, warnings=(*run.warnings, warning))
+
+
+@one_thread
 def refine(lineage: Lineage, landmarks: LandmarkMap, config: Config) -> Refined:
     """Smooth over the best particle's associations, robustly, and join landmarks it had split.
 
     Smooth, with the factors of the odometry if those are in doubt; join (`joining`); repeat until
-    no landmarks join.
+    no landmarks join. `SmoothingError` if there is no optimum.
 
     Parameters
     ----------
@@ -84,41 +100,43 @@ def refine(lineage: Lineage, landmarks: LandmarkMap, config: Config) -> Refined:
     seen = [np.searchsorted(landmarks.ids, record.matches[:, row]) for record, row in lineage]
     settings, scales = config.filter, _scales(config)
     alike = joining.alike(landmarks.descriptors, settings.descriptor_gate)
-    owner = np.arange(len(landmarks.ids))
-    while True:
-        identities = [owner[rows] for rows in seen]
+
+    def smoothed_with(aliases: Aliases, poses: np.ndarray) -> tuple[Problem, Smoothed]:
+        nonlocal scales
+        identities = [aliases.of(rows) for rows in seen]
         problem, smoothed, scales = _smooth(
             records, identities, poses, scales, settings.robust_above, config
         )
-        poses = smoothed.poses
-        pairs = np.searchsorted(problem.ids, _distinct(owner[alike]))
-        joined = joining.joined(problem, smoothed, pairs, settings.gate, settings.exclusive)
-        if not len(joined):
-            break
-        heir = np.arange(len(owner))
-        heir[problem.ids[joined[:, 1]]] = problem.ids[joined[:, 0]]
-        owner = heir[owner]
-    return Refined(_trajectories(records, poses, config), _map(problem, smoothed, landmarks))
+        return problem, smoothed
+
+    problem, smoothed, _ = joining.smooth_and_join(
+        smoothed_with, poses, alike, settings.gate, settings.exclusive
+    )
+    paths = _trajectories(records, smoothed.poses, config)
+    return Refined(paths, _map(problem, smoothed, landmarks))
 
 
+@one_thread
 def yardstick(
     lineage: Lineage, truth: Mapping[tuple[str, int], np.ndarray], config: Config
 ) -> dict[str, Trajectory] | None:
     """The best answer there is: paths by least squares with the true associations.
 
-    What is certainly a gross error, as real recordings have them, counts less: D that not even one
-    of all the run's observations should reach. Without any, these are plain least squares.
+    Gross errors, as real recordings have them, count less: observations whose D is larger than
+    any of the run's should be. Without gross errors this is plain least squares.
 
     Parameters
     ----------
-    lineage : any particle's past; only where it starts the search from is its own.
-    truth : (robot, stamp_ns) -> (B,) true landmark of each observation; with that of one frame
-        missing there is no yardstick.
+    lineage : any particle's past; the search starts from its path.
+    truth : (robot, stamp_ns) -> (B,) true landmark of each observation; where that of one frame
+        is missing there is no yardstick.
+
+    `SmoothingError` if there is no optimum.
 
     """
     records = [record for record, _ in lineage]
     keys = [(config.robots[record.robot], record.stamp_ns) for record in records]
-    identities = [truth.get(key, ()) for key in keys]
+    identities = [np.asarray(truth.get(key, ())) for key in keys]
     known = [len(rows) == len(r.positions) for rows, r in zip(identities, records, strict=True)]
     if not records or not all(known):
         return None
@@ -142,7 +160,7 @@ def _smooth(
     for _ in range(MOST_ROUNDS):
         problem = problem_of(records, identities, starts, motion, factors=scales.factors)
         smoothed = solve.smooth(problem, poses, robust_above)
-        learnt = learn(scales, problem, smoothed, motions, settled=0.0)
+        learnt = learn(scales, problem, smoothed, motions, fixed=0.0)
         if np.abs(learnt.factors - scales.factors).max() < SMALLEST_CHANGE:
             break
         scales, poses = learnt, smoothed.poses
@@ -151,12 +169,6 @@ def _smooth(
 
 def _scales(config: Config) -> Scales:
     return Scales.unknown(len(config.robots), config.filter.motion.scale_sigma)
-
-
-def _distinct(pairs: np.ndarray) -> np.ndarray:
-    """Each pair (A, 2) of different members once, the smaller first."""
-    pairs = np.unique(np.sort(pairs, axis=1), axis=0)
-    return pairs[pairs[:, 0] < pairs[:, 1]]
 
 
 def _trajectories(
@@ -189,7 +201,7 @@ def _marginal_covariances(problem: Problem, smoothed: Smoothed) -> np.ndarray:
     covariances = smoothed.landmarks[:, 3:].copy()
     for start in range(0, len(covariances), AT_A_TIME):
         wanted = np.arange(start, min(start + AT_A_TIME, len(covariances)))
-        deviations = solve.landmark_deviations(problem, smoothed, wanted)
+        deviations = marginals.landmark_deviations(problem, smoothed, wanted)
         covariances[wanted] += stereo.pack(deviations @ deviations.transpose(0, 2, 1))
     return covariances
 

@@ -5,7 +5,7 @@ poses that saw it. A few landmarks, the hubs, are kept as unknowns instead, afte
 chooses them), those seen early last. L fills each row from its first block that is not zero up to
 the diagonal, the envelope, and nothing else (George, Liu: Computer solution of large sparse
 positive definite systems, 1981). Reverse Cuthill-McKee brings poses that saw the same landmarks
-together, however much later a loop was closed, which keeps the envelope small: for a tour of a
+together, however late a loop was closed, which keeps the envelope small: for a tour of a
 building a fifth of the triangle, and a twentieth of its arithmetic. Rows and columns are handled in
 tiles, each product of tiles by BLAS.
 
@@ -123,7 +123,8 @@ def factorise(envelope: Envelope, elements: np.ndarray) -> Factor:
     is not positive definite.
     """
     edges, begins = envelope.edges, envelope.begins
-    lefts, inverses = [], []
+    lefts: list[np.ndarray] = []
+    inverses: list[np.ndarray] = []
     for i, tile in enumerate(envelope.tiles(elements)):
         left = tile[:, : edges[i] - begins[i]]
         for k in range(begins[i] // edges[1], i):
@@ -161,9 +162,9 @@ def _order(problem: Problem, is_hub: np.ndarray) -> np.ndarray:
     poses, size = len(problem.robots), len(problem.robots) + len(problem.ids)
     out = (problem.seen_from >= 0) & ~is_hub[problem.landmarks]
     following = np.flatnonzero(problem.previous >= 0)
-    one = [problem.seen_from[out], following, problem.sighted.seen_from]
-    other = [poses + problem.landmarks[out], problem.previous[following], problem.sighted.seen]
-    one, other = np.concatenate(one), np.concatenate(other)
+    landmarks, sighted = poses + problem.landmarks[out], problem.sighted
+    one = np.concatenate([problem.seen_from[out], following, sighted.seen_from])
+    other = np.concatenate([landmarks, problem.previous[following], sighted.seen])
     rows, columns = np.append(one, other), np.append(other, one)
     graph = csr_array((np.ones(len(rows), np.int8), (rows, columns)), (size, size))
     order = reverse_cuthill_mckee(graph, symmetric_mode=True).astype(np.int64)

@@ -8,20 +8,21 @@ factors, with whitened residuals and N(m, L^-1) what was known of the factors be
 
 are the gradient of the cost with the paths at their best, and what the paths add to its curvature:
 s - (L + S)^-1 g is one Newton step to the most likely factors. What the paths say, the parabola of
-S and of g without the L (s - m), goes over into L and m by the share of the poses that settle.
+S and of g without the L (s - m), is added to L and m by the share of the poses that are fixed.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from multi_robot_slam.smoothing import kernels
+from multi_robot_slam.smoothing.cost import odometry_residuals
+from multi_robot_slam.smoothing.kernels.links import odometry_jacobians
 from multi_robot_slam.smoothing.problem import Problem
-from multi_robot_slam.smoothing.solve import Smoothed, odometry_residuals
+from multi_robot_slam.smoothing.solve import Smoothed, SmoothingError
 
 
 class Scales(NamedTuple):
-    """The factors of K robots, and what settled poses say of them."""
+    """The factors of K robots, and what fixed poses say of them."""
 
     factors: np.ndarray
     """(K, 2) float64: of distances, of turns."""
@@ -38,14 +39,16 @@ class Scales(NamedTuple):
 
 
 def learn(
-    scales: Scales, problem: Problem, smoothed: Smoothed, motions: np.ndarray, settled: float
+    scales: Scales, problem: Problem, smoothed: Smoothed, motions: np.ndarray, fixed: float
 ) -> Scales:
     """One Newton step from `scales`, for which `smoothed` is the optimum.
 
     Parameters
     ----------
     motions : (P, 3) as odometry tells them; those of `problem` are the factors times these.
-    settled : share of the poses that settle now.
+    fixed : share of the poses that are fixed now.
+
+    `SmoothingError` if the factors have no optimum.
 
     """
     if not len(scales.information):
@@ -53,10 +56,14 @@ def learn(
     gradient, curvature = _profile(problem, smoothed, motions)
     old = scales.factors.ravel()
     pull = gradient + scales.information @ (old - scales.mean)
-    new = old - np.linalg.solve(scales.information + curvature, pull)
-    information = scales.information + settled * curvature
-    known = scales.information @ scales.mean + settled * (curvature @ old - gradient)
-    return Scales(new.reshape(-1, 2), np.linalg.solve(information, known), information)
+    information = scales.information + fixed * curvature
+    known = scales.information @ scales.mean + fixed * (curvature @ old - gradient)
+    try:
+        new = old - np.linalg.solve(scales.information + curvature, pull)
+        mean = np.linalg.solve(information, known)
+    except np.linalg.LinAlgError as error:
+        raise SmoothingError("the odometry's factors have no optimum") from error
+    return Scales(new.reshape(-1, 2), mean, information)
 
 
 def _profile(
@@ -66,7 +73,7 @@ def _profile(
     count, poses, unknown = len(motions), smoothed.poses, 2 * len(problem.start_poses)
     jacobians = np.empty((count, 3, 6))
     before = problem.poses_before(poses)
-    kernels.odometry_jacobians(before, problem.sigmas, poses, jacobians)
+    odometry_jacobians(before, problem.sigmas, poses, jacobians)
     by_scale = np.zeros((count, 3, unknown))
     rows, told = np.arange(count), -motions / problem.sigmas
     by_scale[rows, 0, 2 * problem.robots] = told[:, 0]

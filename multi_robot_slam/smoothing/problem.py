@@ -1,4 +1,4 @@
-"""What a batch of frames measured, in the form that the smoothing solves."""
+"""What a history of frames measured, in the form that smoothing solves."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -8,7 +8,7 @@ import numpy as np
 
 from multi_robot_slam.models.frames import NOBODY, Record
 from multi_robot_slam.models.motion import MotionSettings, standard_deviations
-from multi_robot_slam.smoothing.kernels import inverses
+from multi_robot_slam.models.symmetric import inverses
 
 SMALLEST_SIGMA = 1e-5
 """Floor of odometry's standard deviations [m, rad].
@@ -18,7 +18,7 @@ hundredth of a millimetre is nothing beside what any camera sees.
 """
 
 MAP = -1
-"""Stands for the pose an observation was made from if its position is in `map` already."""
+"""Stands for the pose of an observation whose position is in `map` already."""
 
 
 class PoseSightings(NamedTuple):
@@ -36,6 +36,19 @@ class PoseSightings(NamedTuple):
     @classmethod
     def none(cls) -> "PoseSightings":
         return cls(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 3)))
+
+
+class Observations(NamedTuple):
+    """O observations of N landmarks, ordered by landmark; the arrays of `Problem`."""
+
+    starts: np.ndarray
+    """(N + 1,) int64."""
+    seen_from: np.ndarray
+    """(O,) int64."""
+    positions: np.ndarray
+    """(O, 3)."""
+    information: np.ndarray
+    """(O, 6), times the observations' weights."""
 
 
 class Known(NamedTuple):
@@ -87,6 +100,20 @@ class Problem:
         """(O,) int64: index of the landmark of each observation."""
         return np.repeat(np.arange(len(self.ids)), np.diff(self.starts))
 
+    def observations(self, weights: np.ndarray | None = None) -> Observations:
+        """With `weights` (O + S,), the first O of them, on the information."""
+        information = self.information
+        if weights is not None:
+            information = information * weights[: len(information), None]
+        return Observations(self.starts, self.seen_from, self.positions, information)
+
+    def sightings(self, weights: np.ndarray | None = None) -> PoseSightings:
+        """With `weights` (O + S,), the last S of them, on the information."""
+        if weights is None:
+            return self.sighted
+        information = self.sighted.information * weights[len(self.positions) :, None]
+        return self.sighted._replace(information=information)
+
     def poses_before(self, poses: np.ndarray) -> np.ndarray:
         """(P, 3): the pose that each of `poses` (P, 3) follows."""
         starts = self.start_poses[self.robots]
@@ -109,7 +136,7 @@ def problem_of(
     identities : for each record (B,), which landmark each observation is of; below 0: of none, a
         gross error.
     start_poses : (K, 3).
-    known : what older poses say of landmarks (`settle`).
+    known : what older poses say of landmarks (`solve.marginalise`); ids in any order.
     factors : (K, 2) of the odometry's distances and turns; default: none.
 
     """
@@ -143,6 +170,11 @@ def problem_of(
         ids=ids,
         sighted=_sighted(records),
     )
+
+
+def with_map(poses: np.ndarray) -> np.ndarray:
+    """`poses` (P, 3) and, at the end, the one that MAP stands for."""
+    return np.concatenate([poses, np.zeros((1, 3))])
 
 
 def _previous(robots: np.ndarray) -> np.ndarray:

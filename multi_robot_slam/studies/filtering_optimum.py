@@ -13,28 +13,42 @@ from multi_robot_slam.pipeline.refinement import Lineage, yardstick
 def poses(
     lineage: Lineage, truth: Mapping[tuple[str, int], np.ndarray], config: Config, every: int
 ) -> dict[str, Trajectory]:
-    """Where least squares with the true associations sees each robot, at every so manieth step.
+    """Where least squares with the true associations sees each robot, at every `every`-th step.
 
-    What no filter can be expected to beat: its poses as published are to be compared with these,
-    as its whole paths are with the yardstick (`refinement.yardstick`).
+    No filter can be expected to do better: poses as they were published compare with these as
+    whole paths compare with the yardstick (`refinement.yardstick`).
 
     Parameters
     ----------
     lineage : any particle's past; the search only starts from it.
-    truth : (robot, stamp_ns) -> (B,) true landmark of each observation.
+    truth : (robot, stamp_ns) -> (B,) true landmark of each observation, of all frames.
+    every : steps from one such pose to the next.
+
+    Returns
+    -------
+    Per robot a trajectory with one pose for each such step in which it has a frame.
+
+    Raises
+    ------
+    SmoothingError
+        A yardstick has no optimum.
+    ValueError
+        The truth of a frame is missing.
 
     """
     steps = [record.step for record, _ in lineage]
-    found = {name: ([], []) for name in config.robots}
+    stamps: dict[str, list[int]] = {name: [] for name in config.robots}
+    rows: dict[str, list[np.ndarray]] = {name: [] for name in config.robots}
     for step in range(every, steps[-1] + 1, every):
         first, known = bisect_left(steps, step), bisect_right(steps, step)
-        best = yardstick(lineage[:known], truth, config)
+        paths = yardstick(lineage[:known], truth, config)
+        if paths is None:
+            raise ValueError(f"the true landmarks of a frame up to step {step} are missing")
         for record, _ in lineage[first:known]:
             name = config.robots[record.robot]
-            (stamps, rows), path = found[name], best[name]
-            stamps.append(path.stamps_ns[-1])
-            rows.append(path.poses[-1])
+            stamps[name].append(int(paths[name].stamps_ns[-1]))
+            rows[name].append(paths[name].poses[-1])
     return {
-        name: Trajectory(np.array(stamps, np.int64), np.array(rows).reshape(-1, 3))
-        for name, (stamps, rows) in found.items()
+        name: Trajectory(np.array(stamps[name], np.int64), np.array(rows[name]).reshape(-1, 3))
+        for name in config.robots
     }

@@ -1,5 +1,6 @@
 """Rejuvenation: against the exact smoother, filtering along the drawn paths, and its laws."""
 
+from copy import deepcopy
 from dataclasses import replace
 
 import linear_world as linear
@@ -10,9 +11,13 @@ import worlds
 
 from msg_defs.types import ObservationSet
 from multi_robot_slam.filter import rbpf, rejuvenation, resampling
+from multi_robot_slam.filter.landmarks import Landmarks
 from multi_robot_slam.filter.settings import NO_REJUVENATION, FilterSettings, RejuvenationSettings
+from multi_robot_slam.filter.state import resample
 from multi_robot_slam.models import stereo
 from multi_robot_slam.models.motion import MotionSettings
+from multi_robot_slam.smoothing import draws, marginals, solve
+from multi_robot_slam.smoothing.solve import SmoothingError
 
 ALWAYS = RejuvenationSettings(ancestors_below=1.0)
 
@@ -21,6 +26,54 @@ def run(steps, settings, seed=0, dtype=np.float64):
     state = rbpf.init(worlds.START, settings, dtype)
     rng = np.random.default_rng(seed)
     return state, [rbpf.step(state, frames, settings, rng) for frames in steps]
+
+
+def often(particles, gate, exclusive=True, **changes):
+    """Settings of a filter that has many association histories and rejuvenates all the time."""
+    return worlds.settings(
+        particles=particles,
+        proposal="informed",
+        gate=gate,
+        exclusive=exclusive,
+        resample_below=0.5,
+        rejuvenation=RejuvenationSettings(ancestors_below=0.5, share=0.1, **changes),
+    )
+
+
+def in_two_groups(small, large):
+    """A state whose first particles, `small` of them, are one group, and the others another."""
+    settings = worlds.settings(
+        particles=small + large, proposal="informed", gate=1e3, resample_below=0.01
+    )
+    state, _ = run(worlds.drive(2, steps=6), settings)
+    state.log_weights[:] = 0
+    state.history.signatures[:small] = 7
+    state.history.signatures[small:] = 3
+    return state, settings
+
+
+def assert_maps_are_the_lineages(state):
+    """Each particle holds just the landmarks that its past names."""
+    for m in range(len(state.log_weights)):
+        held = state.landmarks.ids[state.landmarks.of_particle(m)[0]]
+        named = [record.matches[:, row] for record, row in state.history.lineage(m)]
+        np.testing.assert_array_equal(np.sort(held), np.unique(np.concatenate(named)))
+
+
+def assert_same_state(state, other):
+    for m in range(len(state.log_weights)):
+        (columns, planes), (others, same) = (s.landmarks.of_particle(m) for s in (state, other))
+        np.testing.assert_array_equal(columns, others)
+        np.testing.assert_array_equal(planes, same)
+        lineages = (s.history.lineage(m) for s in (state, other))
+        for (record, row), (twin, same_row) in zip(*lineages, strict=True):
+            np.testing.assert_array_equal(record.poses[:, row], twin.poses[:, same_row])
+            np.testing.assert_array_equal(record.matches[:, row], twin.matches[:, same_row])
+    for name in ("poses", "log_weights", "log_weight_sum", "fixed_of"):
+        np.testing.assert_array_equal(getattr(state, name), getattr(other, name))
+    np.testing.assert_array_equal(state.history.signatures, other.history.signatures)
+    assert [id(fixed) for fixed in state.fixed] == [id(fixed) for fixed in other.fixed]
+    assert state.scales is other.scales
 
 
 def rejuvenated(state, settings, seed=1):
@@ -202,28 +255,62 @@ def test_particles_with_another_history_keep_it():
     assert (state.poses[:, :, :20] != before[:, :, :20]).any(axis=(0, 1)).all()
 
 
-def test_landmarks_a_particle_had_split_are_joined():
-    settings = worlds.settings(particles=10, proposal="informed", gate=1e3, exclusive=True)
-    steps = worlds.drive(5, steps=10)
-    state, _ = run(steps, settings)
-    whole = len(state.landmarks.of_particle(0)[0])
-    split = next(
-        record
-        for record in reversed(state.history.records)
-        if (record.matches[:, 0] != record.new_ids).all()
-    )
-    spare = int(split.new_ids[0])
+def split(state, records):
+    """Give one observation in the first of `records` that fits a landmark of its own, as new."""
+    record = next(r for r in records if (r.matches[:, 0] != r.new_ids).all())
+    spare = int(record.new_ids[0])
     columns = state.landmarks.reserve(1)
     state.landmarks.ids[columns] = spare
-    old = state.landmarks.columns_of(split.matches[:1, 0])
+    old = state.landmarks.columns_of(record.matches[:1, 0])
     state.landmarks.bring_up_to_date(old)
     state.landmarks.planes[columns] = state.landmarks.planes[old]
-    state.landmarks.commit(columns, np.array([10]), state.landmarks.descriptors[old])
-    split.matches = split.matches.copy()
-    split.matches[0] = spare
+    state.landmarks.commit(
+        columns, np.array([len(state.log_weights)]), 0.99 * state.landmarks.descriptors[old]
+    )
+    record.matches = record.matches.copy()
+    record.matches[0] = spare
+
+
+def test_landmarks_a_particle_had_split_are_joined():
+    settings = worlds.settings(particles=10, proposal="informed", gate=1e3, exclusive=True)
+    state, _ = run(worlds.drive(5, steps=10), settings)
+    whole = len(state.landmarks.of_particle(0)[0])
+    split(state, reversed(state.history.records))
     assert len(state.landmarks.of_particle(0)[0]) == whole + 1
     rejuvenated(state, settings)
     assert len(state.landmarks.of_particle(0)[0]) == whole
+    assert_maps_are_the_lineages(state)
+
+
+def test_landmarks_split_before_the_window_are_joined_there():
+    """The first rejuvenation cannot join, since nothing looks alike, and fixes what was split."""
+    settings = worlds.settings(particles=10, proposal="informed", gate=1e3)
+    state, _ = run(worlds.drive(5, steps=20), settings)
+    settings = replace(settings, rejuvenation=replace(ALWAYS, window=6))
+    whole = len(state.landmarks.of_particle(0)[0])
+    split(state, state.history.records)
+    rejuvenated(state, replace(settings, descriptor_gate=1e-6))
+    assert len(state.landmarks.of_particle(0)[0]) == whole + 1
+    assert state.fixed[0].records == 54
+    assert_maps_are_the_lineages(state)
+    rejuvenated(state, settings)
+    assert len(state.landmarks.of_particle(0)[0]) == whole
+    assert_maps_are_the_lineages(state)
+
+
+def test_what_is_fixed_is_not_touched_where_nothing_in_it_is_renamed():
+    settings = worlds.settings(particles=10, proposal="informed", gate=1e3, exclusive=True)
+    state, _ = run(worlds.drive(5, steps=20), settings)
+    settings = replace(settings, rejuvenation=replace(ALWAYS, window=6))
+    rejuvenated(state, settings)
+    whole = len(state.landmarks.of_particle(0)[0])
+    split(state, reversed(state.history.records))
+    before = [record.matches for record in state.history.records[: state.fixed[0].records]]
+    rejuvenated(state, settings)
+    assert len(state.landmarks.of_particle(0)[0]) == whole
+    assert len(before) == 54
+    for record, matches in zip(state.history.records, before, strict=False):
+        assert record.matches is matches
 
 
 def test_every_particle_has_a_past_of_its_own_and_the_filter_goes_on():
@@ -253,7 +340,7 @@ def test_is_due_when_few_descend_from_the_last_time_and_it_has_rested():
     assert not rejuvenation.is_due(state, often)
 
 
-def test_settled_poses_stay_and_the_rest_is_as_good_as_with_all_of_them():
+def test_fixed_poses_stay_and_the_rest_is_as_good_as_with_all_of_them():
     steps = worlds.drive(8, steps=40)
     settings = worlds.settings(particles=100, proposal="informed", resample_below=0.5)
     settings = replace(settings, rejuvenation=replace(ALWAYS, ancestors_below=0.5))
@@ -262,8 +349,9 @@ def test_settled_poses_stay_and_the_rest_is_as_good_as_with_all_of_them():
     state, few = run(steps, narrow)
     records = state.history.records
     drawn_at = 3 * state.origin_step
-    assert drawn_at - 23 < state.settled.records <= drawn_at - 20
-    assert records[state.settled.records].step > records[state.settled.records - 1].step
+    count = state.fixed[state.fixed_of[rbpf.best_particle(state)]].records
+    assert drawn_at - 23 < count <= drawn_at - 20
+    assert records[count].step > records[count - 1].step
     for a, b in zip(whole, few, strict=True):
         for (mean, covariance), (other, _) in zip(a.moments, b.moments, strict=True):
             # The random numbers differ too.
@@ -272,12 +360,131 @@ def test_settled_poses_stay_and_the_rest_is_as_good_as_with_all_of_them():
     assert counted == 40 * 3 * 5
 
 
-@pytest.mark.parametrize("pairs", [[], [[1, 5]], [[1, 5], [0, 7]]])
-def test_heirs_replace_ids_through_several_joins(pairs):
-    heirs = rejuvenation.Heirs().and_then(np.array(pairs, int).reshape(-1, 2))
-    heirs = heirs.and_then(np.array([[0, 1]]))
-    expected = np.array([0, 0, 2, 0 if [1, 5] in pairs else 5, 0 if [0, 7] in pairs else 7])
-    assert heirs.of(np.array([0, 1, 2, 5, 7])).tolist() == expected.tolist()
+# Histories that join different landmarks, some of them seen before the window only.
+@pytest.mark.parametrize(("seed", "alike", "gate"), [(2, 0.0, 2.0), (3, 0.3, 4.0), (4, 0.3, 4.0)])
+def test_every_particle_holds_just_the_landmarks_of_its_past(seed, alike, gate):
+    settings = often(40, gate, window=20)
+    state = rbpf.init(worlds.START, settings, np.float64)
+    rng = np.random.default_rng(seed)
+    alone, begins = 0, set()
+    for frames in worlds.drive(seed, steps=30, alike=alike):
+        info = rbpf.step(state, frames, settings, rng)
+        assert_maps_are_the_lineages(state)
+        alone += info.rejuvenated.alone if info.rejuvenated else 0
+        begins |= {tuple(fixed.known.ids) for fixed in state.fixed}
+    assert alone > 0
+    assert len(begins) > 3
+    assert max(fixed.records for fixed in state.fixed) > 50
+
+
+def test_best_particle_is_of_the_largest_group():
+    state, settings = in_two_groups(10, 20)
+    info = rejuvenated(state, replace(settings, rejuvenation=replace(ALWAYS, share=0.1)))
+    assert info.groups == 2
+    assert rbpf.best_particle(state) >= 10
+    state, settings = in_two_groups(10, 20)
+    info = rejuvenated(state, replace(settings, rejuvenation=replace(ALWAYS, share=1.0)))
+    assert info.groups == 0
+    assert rbpf.best_particle(state) >= 10
+
+
+def test_boxes_hold_what_was_drawn():
+    state, settings = in_two_groups(10, 20)
+    state.landmarks.boxes[:] = np.nan
+    rejuvenated(state, replace(settings, rejuvenation=replace(ALWAYS, share=0.1)))
+    alive = state.landmarks.alive()
+    boxes = state.landmarks.boxes[alive].copy()
+    state.landmarks.bound(alive, settings.gate)
+    np.testing.assert_array_equal(boxes, state.landmarks.boxes[alive])
+
+
+@pytest.mark.parametrize("proposal", ["motion", "informed"])
+def test_run_with_boxes_is_the_run_without(proposal, monkeypatch):
+    settings = replace(often(30, 11.345, window=30), proposal=proposal)
+    steps = worlds.drive(9, steps=20)
+    state, infos = run(steps, settings)
+    assert sum(info.rejuvenated is not None for info in infos) > 3
+    monkeypatch.setattr(Landmarks, "near", lambda landmarks, box: landmarks.alive())
+    other, _ = run(steps, settings)
+    assert state.poses.tobytes() == other.poses.tobytes()
+    for m in range(30):
+        one, same = (s.landmarks.of_particle(m)[1] for s in (state, other))
+        assert one.tobytes() == same.tobytes()
+
+
+def test_landmarks_seen_in_one_frame_are_two():
+    """All look alike and the gate lets everything pass."""
+    settings = worlds.settings(particles=10, proposal="informed", gate=1e3)
+    for exclusive in (True, False):
+        state, _ = run(worlds.drive(5, steps=6), settings)
+        deaf = replace(settings, gate=1e9, robust_above=1e9, descriptor_gate=1e9)
+        rejuvenated(state, replace(deaf, exclusive=exclusive))
+        held = len(state.landmarks.of_particle(0)[0])
+        assert held >= 5 if exclusive else held == 1
+
+
+def spoiled(state, value):
+    """The state after an observation that no filter should have let in."""
+    state.history.records[4].positions = state.history.records[4].positions.copy()
+    state.history.records[4].positions[0] = value
+    return state
+
+
+def fails_always(*arguments):
+    raise SmoothingError("on purpose")
+
+
+@pytest.mark.parametrize(
+    ("module", "name"), [(solve, "smooth"), (draws, "draw"), (marginals, "marginalise")]
+)
+def test_failed_smoothing_leaves_the_particles_resampled_and_nothing_else(
+    module, name, monkeypatch
+):
+    state, settings = in_two_groups(10, 20)
+    state.log_weights[:] = np.random.default_rng(0).normal(0, 1, 30)
+    expected = deepcopy(state)
+    expected.fixed, expected.scales = state.fixed, state.scales
+    monkeypatch.setattr(module, name, fails_always)
+    info = rejuvenated(state, replace(settings, rejuvenation=replace(ALWAYS, share=0.1)))
+    assert info.failures == ("on purpose",) * 2
+    assert (info.groups, info.alone, info.effective_particles) == (0, 30, 0)
+    resample(expected, info.ancestors)
+    assert_same_state(state, expected)
+
+
+def test_failed_smoothing_is_tried_again_later(monkeypatch):
+    settings = often(50, 11.345)
+    monkeypatch.setattr(solve, "smooth", fails_always)
+    _, infos = run(worlds.drive(6, steps=40), settings)
+    tries = [step for step, info in enumerate(infos) if info.rejuvenated]
+    assert all(infos[step].rejuvenated.failures for step in tries)
+    assert 1 < len(tries) < 30
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, 1e200])
+def test_a_past_that_is_not_finite_fails(value):
+    state, settings = in_two_groups(10, 20)
+    info = rejuvenated(spoiled(state, value), replace(settings, rejuvenation=ALWAYS))
+    assert info.groups == 0
+    assert info.failures == ("smoothing 18 poses: a step is not finite",) * 2
+    assert np.isfinite(state.poses).all()
+
+
+def test_history_that_cannot_be_smoothed_stays_and_the_others_go_on(monkeypatch):
+    state, settings = in_two_groups(10, 20)
+    before, smooth, calls = deepcopy(state), solve.smooth, []
+
+    def fails_first(*arguments):
+        calls.append(arguments)
+        return smooth(*arguments) if len(calls) > 1 else fails_always()
+
+    monkeypatch.setattr(solve, "smooth", fails_first)
+    info = rejuvenated(state, replace(settings, rejuvenation=replace(ALWAYS, share=0.1)))
+    assert (info.groups, info.alone, info.failures) == (1, 20, ("on purpose",))
+    assert (state.poses[:, :, 10:] == before.poses[:, :, 10:]).all()
+    assert (state.poses[:, :, :10] != before.poses[:, :, :10]).any(axis=(0, 1)).all()
+    assert rbpf.best_particle(state) >= 10
+    assert_maps_are_the_lineages(state)
 
 
 @pytest.mark.parametrize("spread", [0.1, 2.0, 30.0])

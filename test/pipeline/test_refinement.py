@@ -12,7 +12,6 @@ from msg_defs.types import StereoCamera
 from multi_robot_slam import runs
 from multi_robot_slam.pipeline import offline, refinement
 from multi_robot_slam.pipeline.pipeline import Pipeline
-from multi_robot_slam.smoothing import joining
 from sim_world.scenario import Scenario
 from sim_world.simulator import Simulation
 
@@ -191,12 +190,6 @@ def test_refined_map_has_the_errors_it_claims(explored):
     assert low < np.mean(values) < high
 
 
-def test_widened_gate_lets_a_run_pass_as_one_observation_does():
-    for count in (1, 100, 7000):
-        together = chi2.cdf(joining.widened_gate(11.345, count), 3) ** count
-        assert together == pytest.approx(0.99, abs=1e-4)
-
-
 def test_nothing_is_refined_to_nothing(explored):
     pipeline = Pipeline(explored.config)
     refined = refinement.refine([], pipeline.landmark_map(), explored.config)
@@ -220,6 +213,20 @@ def test_run_too_long_to_smooth_is_told(explored, monkeypatch):
     assert "10 are the most" in run.warnings[-1]
 
 
+def test_run_that_cannot_be_smoothed_goes_on_unrefined(explored, monkeypatch):
+    lineage = explored.pipeline.lineage()
+    record, row = lineage[20]
+    lineage[20] = replace(record, positions=np.full_like(record.positions, np.nan)), row
+    monkeypatch.setattr(explored.pipeline, "lineage", lambda: lineage)
+    run = refinement.complete(explored.run, explored.pipeline, with_refined=True)
+    assert run.refined_landmarks is None
+    yardstick, refined = run.warnings[-2:]
+    assert yardstick.startswith("no yardstick: smoothing ")
+    assert refined.startswith("not refined: smoothing ")
+    robot = run.robots["robot_1"]
+    assert len(robot.refined.poses) == len(robot.yardstick.poses) == 0 < len(robot.mean.poses)
+
+
 def test_command_refines(command, tmp_path):
     recordings.record(tmp_path / "bag", SCENARIO, seed=1)
     assert command("run", tmp_path / "bag", "--out", tmp_path / "out", "--refine")[0] == 0
@@ -235,5 +242,5 @@ def test_live_run_has_the_yardstick_of_its_bag(tmp_path):
     _, config = recordings.record(tmp_path / "bag", is_live=True)
     live = offline.load(tmp_path / "bag")
     again = offline.estimate(tmp_path / "bag", config, warn=lambda text: None)
-    batch = {name: robot.yardstick for name, robot in live.robots.items()}
-    assert_same_paths(batch, {n: robot.yardstick for n, robot in again.robots.items()}, atol=1e-4)
+    paths = {name: robot.yardstick for name, robot in live.robots.items()}
+    assert_same_paths(paths, {n: robot.yardstick for n, robot in again.robots.items()}, atol=1e-4)

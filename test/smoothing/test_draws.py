@@ -7,7 +7,8 @@ import pytest
 from drives import GATE, covariance_of, filtered, posed, straight, with_hubs
 
 from multi_robot_slam.models import stereo
-from multi_robot_slam.smoothing import draws, solve
+from multi_robot_slam.smoothing import draws
+from multi_robot_slam.smoothing.cost import landmarks_and_distances, odometry_residuals
 from multi_robot_slam.smoothing.solve import smooth
 
 
@@ -61,8 +62,8 @@ def test_landmarks_at_the_optimum_are_the_smoothing_s(smoothed):
 
 def log_density(problem, poses, weights):
     """Term by term, for one path."""
-    landmarks, squared = solve.landmarks_and_distances(problem, poses, weights)
-    odometry = np.sum(solve.odometry_residuals(problem, poses) ** 2)
+    landmarks, squared = landmarks_and_distances(problem, poses, weights)
+    odometry = np.sum(odometry_residuals(problem, poses) ** 2)
     determinants = np.linalg.det(stereo.unpack(landmarks[:, 3:]))
     return -0.5 * (odometry + squared @ weights - np.sum(np.log(determinants)))
 
@@ -98,7 +99,7 @@ def test_density_with_landmarks_out_is_the_integral():
         )
         squared = np.einsum("ogi,oij,ogj->g", e, W, e)
         volume = np.linalg.det(root)
-        odometry = np.sum(solve.odometry_residuals(problem, poses[:, :, m]) ** 2)
+        odometry = np.sum(odometry_residuals(problem, poses[:, :, m]) ** 2)
         by_quadrature.append(np.log(np.sum(np.exp(-0.5 * squared)) * volume) - 0.5 * odometry)
     assert logs[1] - logs[0] == pytest.approx(by_quadrature[1] - by_quadrature[0], abs=1e-6)
 

@@ -7,7 +7,7 @@ import pytest
 import worlds
 from drives import filtered, posed, remembered, straight, with_hubs
 
-from multi_robot_slam.smoothing import hubs, solve
+from multi_robot_slam.smoothing import hubs, marginals, solve
 from multi_robot_slam.smoothing.envelope import envelope_of
 from multi_robot_slam.smoothing.problem import problem_of
 
@@ -68,17 +68,17 @@ def test_corridor_has_no_hubs():
 
 
 @pytest.mark.parametrize("share", [0.5, 1])
-def test_hubs_may_be_known_from_settled_poses_alone(monkeypatch, share):
+def test_hubs_may_be_known_from_fixed_poses_alone(monkeypatch, share):
     state, settings = filtered(steps=8)
     records, identities, poses = remembered(state)
     whole = problem_of(records, identities, worlds.START, settings.motion)
-    start, known = solve.settle(whole, solve.smooth(whole, poses), 12)
+    start, known = marginals.marginalise(whole, solve.smooth(whole, poses), 12)
     problem = problem_of(records[12:], identities[12:], start, settings.motion, known)
     assert (problem.seen_from[problem.starts[1:] - 1] < 0).any()
     expected = solve.smooth(problem, poses[12:], smallest_step=1e-6)
     with_hubs(monkeypatch, share)
     found = solve.smooth(problem, poses[12:], smallest_step=1e-6)
     np.testing.assert_allclose(found.poses, expected.poses, atol=1e-8)
-    deviations = [solve.landmark_deviations(problem, s) for s in (found, expected)]
+    deviations = [marginals.landmark_deviations(problem, s) for s in (found, expected)]
     shared = [Y @ Y.transpose(0, 2, 1) for Y in deviations]
     np.testing.assert_allclose(*shared, atol=1e-10)

@@ -53,18 +53,18 @@ def test_the_step_is_newton_s_on_the_cost_with_the_paths_at_their_best():
         np.testing.assert_allclose(gradient[k], (cost[1] - cost[0]) / (2 * h), rtol=1e-3, atol=1e-2)
         second = (cost[1] + cost[0] - 2 * best.cost) / h**2
         np.testing.assert_allclose(curvature[k, k], second, rtol=0.05)
-    learnt = odometry_scale.learn(scales, problem, best, motions, settled=0.0)
+    learnt = odometry_scale.learn(scales, problem, best, motions, fixed=0.0)
     expected = np.linalg.solve(curvature + 100 * np.eye(6), gradient)
     np.testing.assert_allclose(learnt.factors.ravel(), 1 - expected)
     assert (learnt.information == scales.information).all()
 
 
-def test_settled_poses_leave_what_they_say():
+def test_fixed_poses_leave_what_they_say():
     records, identities, poses = history()
     motions = np.array([record.motion for record in records])
     scales = Scales.unknown(3, 0.1)
     problem, best = smoothed_with(records, identities, poses, scales.factors)
-    learnt = odometry_scale.learn(scales, problem, best, motions, settled=1.0)
+    learnt = odometry_scale.learn(scales, problem, best, motions, fixed=1.0)
     _, curvature = odometry_scale._profile(problem, best, motions)
     np.testing.assert_allclose(learnt.information, scales.information + curvature)
     np.testing.assert_allclose(learnt.mean, learnt.factors.ravel())

@@ -1,0 +1,29 @@
+"""Symmetric 3 x 3 matrices as six numbers, `xx xy xz yy yz zz`: compiled inverses."""
+
+import numpy as np
+
+from multi_robot_slam.models.compiled import kernel
+
+
+@kernel
+def inverse(
+    xx: float, xy: float, xz: float, yy: float, yz: float, zz: float
+) -> tuple[tuple[float, float, float, float, float, float], float]:
+    """Inverse of a symmetric matrix and its determinant: (c_xx c_xy c_xz c_yy c_yz c_zz), det."""
+    c_xx, c_xy, c_xz = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+    det = xx * c_xx + xy * c_xy + xz * c_xz
+    scale = 1 / det
+    c_yy = (xx * zz - xz * xz) * scale
+    c_yz = (xy * xz - xx * yz) * scale
+    c_zz = (xx * yy - xy * xy) * scale
+    return (c_xx * scale, c_xy * scale, c_xz * scale, c_yy, c_yz, c_zz), det
+
+
+@kernel
+def inverses(matrices: np.ndarray) -> np.ndarray:
+    """Inverses (n, 6) of symmetric `matrices` (n, 6) `xx xy xz yy yz zz`."""
+    result = np.empty(matrices.shape)
+    for i in range(len(matrices)):
+        xx, xy, xz, yy, yz, zz = matrices[i]
+        result[i], _ = inverse(xx, xy, xz, yy, yz, zz)
+    return result

@@ -1,0 +1,1 @@
+"""Compiled code of the smoothing: plain loops over arrays."""
