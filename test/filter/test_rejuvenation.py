@@ -12,6 +12,7 @@ import worlds
 from msg_defs.types import ObservationSet
 from multi_robot_slam.filter import rbpf, rejuvenation, resampling
 from multi_robot_slam.filter.landmarks import Landmarks
+from multi_robot_slam.filter.new_past import tempered
 from multi_robot_slam.filter.settings import NO_REJUVENATION, FilterSettings, RejuvenationSettings
 from multi_robot_slam.filter.state import resample
 from multi_robot_slam.models import stereo
@@ -490,7 +491,7 @@ def test_history_that_cannot_be_smoothed_stays_and_the_others_go_on(monkeypatch)
 @pytest.mark.parametrize("spread", [0.1, 2.0, 30.0])
 def test_tempered_weights_leave_half_of_the_particles_effective_and_touch_nothing_better(spread):
     exact = np.random.default_rng(0).normal(0, spread, 200)
-    weights = rejuvenation.tempered(exact)
+    weights = tempered(exact)
     effective = resampling.effective_sample_size(resampling.normalise(weights))
     assert effective > 99.9
     if spread == 0.1:

@@ -21,10 +21,10 @@ def explored():
 def test_at_the_end_it_is_where_the_yardstick_ends(explored):
     lineage = explored[0]
     last = lineage[-1][0].step
-    optimum, batch = filtering_optimum.poses(*explored, last), refinement.yardstick(*explored)
+    optimum, whole = filtering_optimum.poses(*explored, last), refinement.yardstick(*explored)
     for name, path in optimum.items():
-        assert path.stamps_ns.tolist() == [batch[name].stamps_ns[-1]]
-        np.testing.assert_allclose(path.poses[0], batch[name].poses[-1], atol=1e-5)
+        assert path.stamps_ns.tolist() == [whole[name].stamps_ns[-1]]
+        np.testing.assert_allclose(path.poses[0], whole[name].poses[-1], atol=1e-5)
 
 
 def test_what_comes_later_changes_nothing(explored):
