@@ -29,7 +29,6 @@ from multi_robot_slam.filter.new_past import Drawn, draw
 from multi_robot_slam.filter.settings import FilterSettings, RejuvenationSettings, threads
 from multi_robot_slam.filter.state import Fixed, State, resample
 from multi_robot_slam.smoothing import joining
-from multi_robot_slam.smoothing.solve import SmoothingError
 
 
 class Rejuvenated(NamedTuple):
@@ -110,7 +109,7 @@ def _draw_groups(
         if len(members) >= least:
             try:
                 drawn.append(draw(state, members, alike, settings, rng))
-            except SmoothingError as error:
+            except ValueError as error:  # `SmoothingError`, or numbers no library could use
                 failures.append(str(error))
     return drawn, failures
 

@@ -80,7 +80,7 @@ def closest_pairs(
     taken: set[int] = set()
     for row in np.argsort(distances, kind="stable"):
         pair = pairs[row]
-        if distances[row] > limit:
+        if not distances[row] <= limit:
             break
         if taken.isdisjoint(pair.tolist()) and not (exclusive and _seen_together(problem, *pair)):
             chosen.append(pair)

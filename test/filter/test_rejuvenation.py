@@ -2,6 +2,7 @@
 
 from copy import deepcopy
 from dataclasses import replace
+from functools import partial
 
 import linear_world as linear
 import literal_algorithm1 as literal
@@ -431,21 +432,22 @@ def spoiled(state, value):
     return state
 
 
-def fails_always(*arguments):
-    raise SmoothingError("on purpose")
+def fails_always(*arguments, error=SmoothingError):
+    raise error("on purpose")
 
 
+@pytest.mark.parametrize("error", [SmoothingError, ValueError, np.linalg.LinAlgError])
 @pytest.mark.parametrize(
     ("module", "name"), [(solve, "smooth"), (draws, "draw"), (marginals, "marginalise")]
 )
 def test_failed_smoothing_leaves_the_particles_resampled_and_nothing_else(
-    module, name, monkeypatch
+    module, name, error, monkeypatch
 ):
     state, settings = in_two_groups(10, 20)
     state.log_weights[:] = np.random.default_rng(0).normal(0, 1, 30)
     expected = deepcopy(state)
     expected.fixed, expected.scales = state.fixed, state.scales
-    monkeypatch.setattr(module, name, fails_always)
+    monkeypatch.setattr(module, name, partial(fails_always, error=error))
     info = rejuvenated(state, replace(settings, rejuvenation=replace(ALWAYS, share=0.1)))
     assert info.failures == ("on purpose",) * 2
     assert (info.groups, info.alone, info.effective_particles) == (0, 30, 0)
