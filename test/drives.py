@@ -6,8 +6,8 @@ import numpy as np
 import worlds
 
 from multi_robot_slam.filter import rbpf
-from multi_robot_slam.models import stereo
 from multi_robot_slam.models.frames import BodySightings
+from multi_robot_slam.models.symmetric import pack
 from multi_robot_slam.smoothing import solve
 from multi_robot_slam.smoothing.envelope import envelope_of
 from multi_robot_slam.smoothing.problem import Problem, problem_of
@@ -96,6 +96,6 @@ def straight(seed=0, poses=6, landmarks=4):
         seen_from=seen_from,
         starts=poses * np.arange(landmarks + 1),
         positions=truth + noise,
-        information=stereo.pack(np.linalg.inv(R)),
+        information=pack(np.linalg.inv(R)),
         ids=np.arange(landmarks),
     )

@@ -20,6 +20,7 @@ from msg_defs.types import CameraMount
 from multi_robot_slam.datasets.dead_reckoning import poses_at
 from multi_robot_slam.datasets.recording import Commands, Noise, Readings
 from multi_robot_slam.models import stereo
+from multi_robot_slam.models.symmetric import pack
 
 HEIGHT_SIGMA_M = 0.1
 """Of points whose height is unknown and taken for that of the sensor."""
@@ -86,9 +87,7 @@ def views(
         frames,
         chosen.targets,
         (positions @ stereo.CAMERA_TO_BODY).astype(np.float32),
-        stereo.pack(stereo.CAMERA_TO_BODY.T @ covariances @ stereo.CAMERA_TO_BODY).astype(
-            np.float32
-        ),
+        pack(stereo.CAMERA_TO_BODY.T @ covariances @ stereo.CAMERA_TO_BODY).astype(np.float32),
     )
 
 

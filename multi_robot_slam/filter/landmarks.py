@@ -11,6 +11,7 @@ import numpy as np
 from msg_defs.types import DESCRIPTOR_SIZE
 from multi_robot_slam.filter import kernels
 from multi_robot_slam.models import parallel
+from multi_robot_slam.models.symmetric import pack
 
 FREE = -1
 """Id of a column that holds no landmark."""
@@ -148,7 +149,7 @@ class Landmarks:
             apart = planes[:3] - mean[:, None]
             spread = (apart * share) @ apart.T
             result[n, :3] = mean
-            result[n, 3:] = planes[3:] @ share + spread[[0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
+            result[n, 3:] = planes[3:] @ share + pack(spread)
         return result
 
     def _release_unowned(self, columns: np.ndarray) -> None:

@@ -14,6 +14,7 @@ identity: innovation G^T (v - v_hat) = g^-1(x, v) - mu, and noise G^T R G.
 import numpy as np
 
 from msg_defs.types import CameraMount
+from multi_robot_slam.models.symmetric import pack, unpack
 
 CAMERA_TO_BODY = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """C: camera axes X right, Y up, Z forward -> body axes x forward, y left, z up."""
@@ -54,15 +55,3 @@ def to_map(pose: np.ndarray, positions: np.ndarray) -> np.ndarray:
     cos, sin = np.cos(pose[2]), np.sin(pose[2])
     rotation = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     return positions @ rotation.T + [pose[0], pose[1], 0.0]
-
-
-def unpack(covariances: np.ndarray) -> np.ndarray:
-    """(..., 6) `xx xy xz yy yz zz` -> (..., 3, 3) symmetric, float64."""
-    return np.asarray(covariances, float)[..., [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(
-        *np.shape(covariances)[:-1], 3, 3
-    )
-
-
-def pack(matrices: np.ndarray) -> np.ndarray:
-    """(..., 3, 3) symmetric -> (..., 6) `xx xy xz yy yz zz`."""
-    return matrices.reshape(*matrices.shape[:-2], 9)[..., [0, 1, 2, 4, 5, 8]]

@@ -1,4 +1,4 @@
-"""Symmetric 3 x 3 matrices as six numbers, `xx xy xz yy yz zz`: compiled inverses."""
+"""Symmetric 3 x 3 matrices as six numbers, `xx xy xz yy yz zz`."""
 
 import numpy as np
 
@@ -27,3 +27,15 @@ def inverses(matrices: np.ndarray) -> np.ndarray:
         xx, xy, xz, yy, yz, zz = matrices[i]
         result[i], _ = inverse(xx, xy, xz, yy, yz, zz)
     return result
+
+
+def unpack(covariances: np.ndarray) -> np.ndarray:
+    """(..., 6) `xx xy xz yy yz zz` -> (..., 3, 3) symmetric, float64."""
+    return np.asarray(covariances, float)[..., [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(
+        *np.shape(covariances)[:-1], 3, 3
+    )
+
+
+def pack(matrices: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) symmetric -> (..., 6) `xx xy xz yy yz zz`."""
+    return matrices.reshape(*matrices.shape[:-2], 9)[..., [0, 1, 2, 4, 5, 8]]

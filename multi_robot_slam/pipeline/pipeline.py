@@ -139,6 +139,8 @@ class Pipeline:
                 continue
             for frame in frames:
                 self._reorder.robots[frame.robot].odometry.use()
+            for reason in info.rejuvenated.failures if info.rejuvenated else ():
+                self._tell_of_no_smoothing(frames[0].stamp_ns, reason)
             took_ms = (time.perf_counter() - start) * 1e3
             steps.append(step_record(self.config, self._state, frames, info, took_ms))
         return steps
@@ -158,6 +160,13 @@ class Pipeline:
     def _drop(self, event: Event, doubt: Doubt) -> None:
         where = f"{event.robot} at {_time(event.stamp_ns)}"
         self.lose(doubt.reason, f"dropped {where}: {doubt.reason}; {doubt.remedy}")
+
+    def _tell_of_no_smoothing(self, stamp_ns: int, reason: str) -> None:
+        self.lose(
+            "failed smoothing",
+            f"no rejuvenation at {_time(stamp_ns)}: {reason}. The filter goes on without; if it "
+            "happens again, look for false matches, or for noise stated too small",
+        )
 
     def _tell_of_failure(self, frames: list[RobotFrame], error: Exception) -> None:
         names = ", ".join(self.config.robots[frame.robot] for frame in frames)

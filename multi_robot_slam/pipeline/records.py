@@ -42,9 +42,15 @@ def step_record(
         ),
         effective_particles=info.effective_particles,
         resampled=info.ancestors is not None,
-        rejuvenated=info.rejuvenated and info.rejuvenated.effective_particles,
+        rejuvenated=_rejuvenated(info),
         duration_ms=duration_ms,
     )
+
+
+def _rejuvenated(info: rbpf.StepInfo) -> float | None:
+    """Effective sample size of what was drawn anew, None where nothing was."""
+    drawn = info.rejuvenated
+    return drawn.effective_particles if drawn is not None and drawn.groups else None
 
 
 def _frame_record(robot: str, info: FrameInfo, particle: int, sighting_gate: float) -> FrameRecord:

@@ -7,10 +7,10 @@ import numpy as np
 
 from msg_defs.types import LandmarkMap, Trajectory
 from multi_robot_slam.config import Config
-from multi_robot_slam.models import stereo
 from multi_robot_slam.models.frames import Record
 from multi_robot_slam.models.motion import wrap
 from multi_robot_slam.models.parallel import one_thread
+from multi_robot_slam.models.symmetric import pack
 from multi_robot_slam.pipeline.pipeline import Pipeline
 from multi_robot_slam.runs import Run
 from multi_robot_slam.smoothing import joining, marginals, solve
@@ -202,7 +202,7 @@ def _marginal_covariances(problem: Problem, smoothed: Smoothed) -> np.ndarray:
     for start in range(0, len(covariances), AT_A_TIME):
         wanted = np.arange(start, min(start + AT_A_TIME, len(covariances)))
         deviations = marginals.landmark_deviations(problem, smoothed, wanted)
-        covariances[wanted] += stereo.pack(deviations @ deviations.transpose(0, 2, 1))
+        covariances[wanted] += pack(deviations @ deviations.transpose(0, 2, 1))
     return covariances
 
 

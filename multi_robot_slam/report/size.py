@@ -3,7 +3,7 @@
 import numpy as np
 
 from msg_defs.types import LandmarkMap
-from multi_robot_slam.models import stereo
+from multi_robot_slam.models.symmetric import unpack
 from multi_robot_slam.runs import Run
 
 SIGMAS = 2.0
@@ -58,4 +58,4 @@ def roots(covariances: np.ndarray) -> np.ndarray:
 
 def full_roots(landmarks: LandmarkMap) -> np.ndarray:
     """(N, 3, 3) `roots` of the landmarks' covariances [m]."""
-    return roots(stereo.unpack(landmarks.covariances))
+    return roots(unpack(landmarks.covariances))

@@ -5,6 +5,7 @@ import base64
 import numpy as np
 
 from msg_defs.types import FrameRecord, Trajectory
+from multi_robot_slam.models.symmetric import pack
 from multi_robot_slam.report.size import extent, full_roots, roots
 from multi_robot_slam.report.timeline import Timeline, newest_rows
 from multi_robot_slam.runs import Run
@@ -26,7 +27,7 @@ def frames(run: Run, times: Timeline) -> dict:
     shown = np.argsort(-run.landmarks.observations.astype(np.int64), kind="stable")
     shown = np.sort(shown[:MOST_LANDMARKS])
     shown = shown[np.argsort(first[shown], kind="stable")]
-    spatial = full_roots(run.landmarks)[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
+    spatial = pack(full_roots(run.landmarks))
     row_of = {landmark: row for row, landmark in enumerate(run.landmarks.ids[shown].tolist())}
     return {
         "seconds": packed(times.seconds(times.stamps_ns), "f4"),

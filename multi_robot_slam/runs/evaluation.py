@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from msg_defs.types import LandmarkMap
-from multi_robot_slam.models import stereo
+from multi_robot_slam.models.symmetric import unpack
 from multi_robot_slam.runs.associations import (
     Associations,
     Origins,
@@ -186,7 +186,7 @@ def _place_figures(
         rmse(errors[found.is_first]),
         rmse(aligned_place_errors(landmarks, true, found)),
         rmse(errors),
-        nees(errors, stereo.unpack(landmarks.covariances[found.rows])),
+        nees(errors, unpack(landmarks.covariances[found.rows])),
     )
     return dict(zip(names, values, strict=True))
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from msg_defs.errors import InputError
 from msg_defs.types import LandmarkMap, Trajectory
-from multi_robot_slam.models import stereo
 from multi_robot_slam.models.motion import MotionSettings, increment, spread
+from multi_robot_slam.models.symmetric import unpack
 from multi_robot_slam.runs.colours import ROBOT_COLOURS
 from multi_robot_slam.runs.robot_errors import odometry_in_map
 from multi_robot_slam.runs.run import EMPTY, Run
@@ -152,7 +152,7 @@ def landmark_points(landmarks: LandmarkMap) -> np.ndarray:
     for axis, values in zip("xyz", landmarks.positions.T, strict=True):
         points[axis] = values
     points["red"], points["green"], points["blue"] = LANDMARK_COLOUR
-    covariances = stereo.unpack(landmarks.covariances)
+    covariances = unpack(landmarks.covariances)
     points["sigma"] = np.sqrt(np.linalg.eigvalsh(covariances)[:, -1])
     points["landmark"] = landmarks.ids
     points["robot"] = -1

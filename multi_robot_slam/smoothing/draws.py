@@ -18,9 +18,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import DTypeLike
 
-from multi_robot_slam.models import parallel, stereo
+from multi_robot_slam.models import parallel
 from multi_robot_slam.models.parallel import BLOCK, one_thread
-from multi_robot_slam.models.symmetric import inverses
+from multi_robot_slam.models.symmetric import inverses, unpack
 from multi_robot_slam.smoothing.kernels.paths import COS, SIN, X, weigh
 from multi_robot_slam.smoothing.marginals import landmark_jacobians
 from multi_robot_slam.smoothing.problem import Problem
@@ -65,7 +65,7 @@ def draw(
     hubs = smoothed.factor.envelope.hubs
     jacobians = landmark_jacobians(problem, smoothed, hubs).astype(normals.dtype, copy=False)
     apart = (of_hubs - jacobians @ of_poses).reshape(len(hubs), 3, normals.shape[1])
-    information = stereo.unpack(inverses(smoothed.landmarks[hubs, 3:]))
+    information = unpack(inverses(smoothed.landmarks[hubs, 3:]))
     neg2_log_density = np.square(normals, dtype=float).sum(axis=0)
     neg2_log_density -= np.sum(apart * (information @ apart), axis=(0, 1))
     paths = smoothed.poses[:, :, None] + of_poses.reshape(-1, 3, normals.shape[1])

@@ -10,8 +10,8 @@ from collections.abc import Callable
 import numpy as np
 from scipy.special import chdtrc, chdtri
 
-from multi_robot_slam.models import stereo
 from multi_robot_slam.models.descriptors import squared_distances
+from multi_robot_slam.models.symmetric import unpack
 from multi_robot_slam.smoothing.aliases import Aliases
 from multi_robot_slam.smoothing.marginals import landmark_deviations
 from multi_robot_slam.smoothing.problem import Problem
@@ -103,7 +103,7 @@ def _mahalanobis_sq(problem: Problem, smoothed: Smoothed, pairs: np.ndarray) -> 
     rows = np.searchsorted(wanted, pairs)
     deviations = landmark_deviations(problem, smoothed, wanted)
     apart = smoothed.landmarks[pairs[:, 0], :3] - smoothed.landmarks[pairs[:, 1], :3]
-    covariances = stereo.unpack(smoothed.landmarks[pairs, 3:].sum(axis=1))
+    covariances = unpack(smoothed.landmarks[pairs, 3:].sum(axis=1))
     shared = deviations[rows[:, 0]] - deviations[rows[:, 1]]
     covariances += shared @ shared.transpose(0, 2, 1)
     try:

@@ -14,6 +14,7 @@ from msg_defs.errors import InputError
 from multi_robot_slam.filter import rbpf
 from multi_robot_slam.models import stereo
 from multi_robot_slam.models.frames import RobotFrame
+from multi_robot_slam.models.symmetric import unpack
 from multi_robot_slam.studies import textbook
 from multi_robot_slam.studies.session import SPEED, Session, require
 
@@ -59,7 +60,7 @@ def against_literal(session: Session, seeds: Iterable[int]) -> Comparison:
             # The literal filter looks from the camera, here one in `base_link`.
             axes = stereo.CAMERA_TO_BODY
             z = (frame.positions @ axes, frame.descriptors.astype(float))
-            R = axes.T @ stereo.unpack(frame.covariances) @ axes
+            R = axes.T @ unpack(frame.covariances) @ axes
             normals = rng.standard_normal((3, len(S)))
             choices.append(
                 literal.fast_slam_mr(S, frame.robot, z, R, frame.motion, normals, model, None)
@@ -121,7 +122,7 @@ def _particle(
 ) -> tuple[list[np.ndarray], list[tuple[int, tuple[np.ndarray, np.ndarray, np.ndarray]]]]:
     """Poses and landmarks of particle m: (K, 3), and pairs of id and (mean, Sigma, d)."""
     columns, values = state.landmarks.of_particle(m)
-    sigmas = stereo.unpack(values[:, 3:])
+    sigmas = unpack(values[:, 3:])
     descriptors = state.landmarks.descriptors[columns].astype(float)
     filters = zip(values[:, :3].astype(float), sigmas, descriptors, strict=True)
     ids = state.landmarks.ids[columns].tolist()

@@ -10,8 +10,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from multi_robot_slam.filter.settings import FilterSettings
-from multi_robot_slam.models import motion, stereo
+from multi_robot_slam.models import motion
 from multi_robot_slam.models.frames import RobotFrame
+from multi_robot_slam.models.symmetric import unpack
 
 
 @dataclass
@@ -49,7 +50,7 @@ def update_particles(
     For each particle B indices into its landmarks; a new one is the last of its time.
 
     """
-    covariances = stereo.unpack(frame.covariances)
+    covariances = unpack(frame.covariances)
     sigma = motion.standard_deviations(frame.motion, frame.seconds, settings.motion)
     matches = []
     for particle, normal in zip(particles, normals.T, strict=True):

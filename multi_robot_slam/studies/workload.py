@@ -11,6 +11,7 @@ from msg_defs.types import ObservationSet, StereoCamera
 from multi_robot_slam.models import motion, stereo
 from multi_robot_slam.models.frames import RobotFrame
 from multi_robot_slam.models.motion import MotionSettings
+from multi_robot_slam.models.symmetric import pack
 
 CAMERA = StereoCamera(sigma_rc_px=1.0)
 SPACING_M = 0.25
@@ -96,7 +97,7 @@ class World:
         disparity = CAMERA.focal_px * CAMERA.baseline_m / depth
         roots[:, :, 2] = places * (CAMERA.sigma_disparity_px / disparity)[:, None]
         noise = roots @ self._rng.standard_normal((len(numbers), 3, 1))
-        covariances = stereo.pack(roots @ roots.transpose(0, 2, 1))
+        covariances = pack(roots @ roots.transpose(0, 2, 1))
         blur = self._rng.normal(0, DESCRIPTOR_NOISE, (len(numbers), 128))
         return ObservationSet(
             "",

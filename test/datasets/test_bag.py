@@ -8,6 +8,7 @@ from multi_robot_slam.datasets import bag, dead_reckoning, views
 from multi_robot_slam.datasets.recording import Commands, Noise, Readings
 from multi_robot_slam.filter.settings import FilterSettings
 from multi_robot_slam.models import stereo
+from multi_robot_slam.models.symmetric import unpack
 
 EXACT = Noise(0.05, 0.04, 0.015, 0.0, 0.0, 0.0, 0.0)
 AHEAD = CameraMount(forward_m=0.3, left_m=0.0, up_m=0.0)
@@ -81,7 +82,7 @@ def test_covariance_is_that_of_the_polar_reading_by_finite_differences():
     reading = Readings(nanoseconds([1.0]), np.array([0]), at[:1], at[1:])
     seen = views.views(reading, nanoseconds([0.0, 1.0, 2.0]), still, EXACT, AHEAD)
     _, covariances = stereo.to_body(seen.positions, seen.covariances, AHEAD)
-    np.testing.assert_allclose(stereo.unpack(covariances)[0, :2, :2], wanted, rtol=1e-5)
+    np.testing.assert_allclose(unpack(covariances)[0, :2, :2], wanted, rtol=1e-5)
 
 
 def test_repeated_readings_tell_what_a_first_order_autoregression_tells():

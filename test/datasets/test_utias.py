@@ -13,6 +13,7 @@ from multi_robot_slam.filter.settings import NO_REJUVENATION, FilterSettings
 from multi_robot_slam.models import stereo
 from multi_robot_slam.models.frames import RobotFrame
 from multi_robot_slam.models.motion import MotionSettings
+from multi_robot_slam.models.symmetric import pack, unpack
 
 FOLDER = "utias_state_estimation"
 
@@ -127,7 +128,7 @@ def test_landmarks_of_a_real_stereo_camera_along_its_true_path(shared_data):
     assert sorted(identities) == sorted(names)
     assert len(names) == 20
     errors = values[:, :3] - data["rho_i_pj_i"].T[identities]
-    covariances = stereo.unpack(values[:, 3:])
+    covariances = unpack(values[:, 3:])
     nees = np.einsum("ni,ni->n", errors, np.linalg.solve(covariances, errors[:, :, None])[:, :, 0])
     assert np.sqrt(np.mean(np.square(errors))) < 0.05
     assert 0.3 < nees.mean() / 3 < 3
@@ -172,6 +173,6 @@ def as_camera(points, covariances, seen, stamp_ns):
         "robot",
         stamp_ns,
         (points @ turn).astype(np.float32),
-        stereo.pack(turn.T @ covariances @ turn).astype(np.float32),
+        pack(turn.T @ covariances @ turn).astype(np.float32),
         np.eye(128, dtype=np.float32)[seen],
     )

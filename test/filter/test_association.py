@@ -10,7 +10,7 @@ from multi_robot_slam.filter.association import (
     find_candidates,
     squared_distances,
 )
-from multi_robot_slam.models import stereo
+from multi_robot_slam.models.symmetric import unpack
 
 
 def unit(rng, count):
@@ -78,7 +78,7 @@ def test_nothing_inside_the_gate_lies_outside_the_field_of_search():
             c, s = np.cos(poses[2, m]), np.sin(poses[2, m])
             turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
             nu = v @ turn.T + [poses[0, m], poses[1, m], 0] - planes[n, :3, m]
-            S = stereo.unpack(planes[n, 3:, m]) + turn @ stereo.unpack(noise[0]) @ turn.T
+            S = unpack(planes[n, 3:, m]) + turn @ unpack(noise[0]) @ turn.T
             inside = np.einsum("bi,ij,bj->b", nu, np.linalg.inv(S), nu) <= gate
             found += inside.any()
             assert near[n] or not inside.any()

@@ -9,7 +9,7 @@ import worlds
 from multi_robot_slam.filter import informed_kernels, rbpf
 from multi_robot_slam.filter.association import Candidates
 from multi_robot_slam.filter.kernels import Matches, Observed
-from multi_robot_slam.models import stereo
+from multi_robot_slam.models.symmetric import pack, unpack
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -30,7 +30,7 @@ def test_equals_the_literal_twin_draw_for_draw(seed):
         for frame, seen in zip(frames, info.frames, strict=True):
             origin |= {int(n): (t, frame.robot, b) for b, n in enumerate(seen.new_ids)}
             z = frame.observations.positions.astype(float), frame.observations.descriptors
-            R = stereo.unpack(frame.observations.covariances)
+            R = unpack(frame.observations.covariances)
             normals = rng.standard_normal((3, 6))
             expected = literal_informed.fast_slam_2(
                 S, frame.robot, z, R, frame.motion, normals, model, t
@@ -77,7 +77,7 @@ def test_belief_is_the_exact_posterior_of_a_linear_world():
     v = landmarks + rng.normal(0, 0.3, (count, 3))
     P = np.array([[0.05, 0.01, 0], [0.01, 0.02, 0], [0, 0, 0]])
     belief, D, S = believe(
-        landmarks, stereo.pack(full[0]), P[[0, 0, 1, 2], [0, 1, 1, 2]], v, stereo.pack(full[1])
+        landmarks, pack(full[0]), P[[0, 0, 1, 2], [0, 1, 1, 2]], v, pack(full[1])
     )
 
     H = np.tile(np.eye(3) * [1, 1, 0], (count, 1))

@@ -12,7 +12,7 @@ import worlds
 from multi_robot_slam.filter import rbpf, resampling
 from multi_robot_slam.filter.landmarks import Landmarks
 from multi_robot_slam.filter.settings import RejuvenationSettings
-from multi_robot_slam.models import stereo
+from multi_robot_slam.models.symmetric import pack
 
 
 def run_filter(steps, settings, seed, dtype=np.float32):
@@ -51,7 +51,7 @@ def test_equals_algorithm_1_draw_for_draw(seed):
         ids = state.landmarks.ids[columns]
         assert [origin[int(i)] for i in ids] == [n.origin for n in particle.landmarks]
         np.testing.assert_allclose(values[:, :3], [n.mu for n in particle.landmarks], atol=1e-8)
-        sigmas = stereo.pack(np.array([n.sigma for n in particle.landmarks]))
+        sigmas = pack(np.array([n.sigma for n in particle.landmarks]))
         np.testing.assert_allclose(values[:, 3:], sigmas, rtol=1e-5, atol=1e-10)
     constant = -1.5 * np.log(2 * np.pi) * sum(len(f.matches) for f in frames)
     sums = np.array([p.log_weight_sum for p in S])

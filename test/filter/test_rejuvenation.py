@@ -18,6 +18,7 @@ from multi_robot_slam.filter.settings import NO_REJUVENATION, FilterSettings, Re
 from multi_robot_slam.filter.state import resample
 from multi_robot_slam.models import stereo
 from multi_robot_slam.models.motion import MotionSettings
+from multi_robot_slam.models.symmetric import pack, unpack
 from multi_robot_slam.smoothing import draws, marginals, solve
 from multi_robot_slam.smoothing.solve import SmoothingError
 
@@ -130,7 +131,7 @@ def test_in_a_linear_world_the_particles_are_the_exact_smoother_s(proposal):
     state = rbpf.init(np.zeros((1, 3)), settings, np.float64)
     rng = np.random.default_rng(0)
     descriptors = np.eye(linear.LANDMARKS, 128, dtype=np.float32)
-    R = stereo.pack(np.tile(linear.SIGMA_SEE**2 * np.eye(3), (linear.LANDMARKS, 1, 1)))
+    R = pack(np.tile(linear.SIGMA_SEE**2 * np.eye(3), (linear.LANDMARKS, 1, 1)))
     for t in range(linear.STEPS):
         camera = np.stack([-seen[t, :, 1], seen[t, :, 2], seen[t, :, 0]], axis=1)
         z = ObservationSet("", t, camera, R, descriptors)
@@ -150,7 +151,7 @@ def test_in_a_linear_world_the_particles_are_the_exact_smoother_s(proposal):
     offset = len(paths)
     for n in range(linear.LANDMARKS):
         block = slice(offset + 3 * n, offset + 3 * n + 3)
-        covariance[block, block] += stereo.unpack(planes[n, 3:] @ weights)
+        covariance[block, block] += unpack(planes[n, 3:] @ weights)
     expected, spread = exact_smoother(moves, seen)
     # A heading of sigma 1e-5 stays free.
     np.testing.assert_allclose(mean, expected, atol=5 * np.sqrt(np.diag(spread).max() / count))
@@ -167,7 +168,7 @@ def test_landmark_filters_are_those_of_filtering_along_the_drawn_path():
     for m in range(5):
         known = {}
         for record, row in list(state.history.lineage(m))[::-1]:
-            pose, R = record.poses[:, row], axes.T @ stereo.unpack(record.covariances) @ axes
+            pose, R = record.poses[:, row], axes.T @ unpack(record.covariances) @ axes
             for b, n in enumerate(record.matches[:, row]):
                 G, v = literal.G(pose), record.positions[b] @ axes
                 if n not in known:
@@ -184,7 +185,7 @@ def test_landmark_filters_are_those_of_filtering_along_the_drawn_path():
         assert state.landmarks.ids[columns].tolist() == sorted(known)
         for n, plane in zip(sorted(known), values, strict=True):
             np.testing.assert_allclose(plane[:3], known[n][0], atol=1e-9)
-            np.testing.assert_allclose(stereo.unpack(plane[3:]), known[n][1], atol=1e-9)
+            np.testing.assert_allclose(unpack(plane[3:]), known[n][1], atol=1e-9)
 
 
 def test_same_seed_same_bytes():

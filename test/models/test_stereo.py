@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from msg_defs.types import CameraMount
 from multi_robot_slam.models import stereo
+from multi_robot_slam.models.symmetric import pack, unpack
 
 MOUNT = CameraMount(forward_m=0.2, left_m=-0.1, up_m=0.7)
 coordinates = st.floats(-20, 20)
@@ -49,4 +50,4 @@ def test_covariances_turn_with_their_axes():
 
 def test_pack_undoes_unpack():
     packed = np.arange(12.0).reshape(2, 6)
-    np.testing.assert_array_equal(stereo.pack(stereo.unpack(packed)), packed)
+    np.testing.assert_array_equal(pack(unpack(packed)), packed)

@@ -20,6 +20,8 @@ from multi_robot_slam.pipeline.odometry import MOST_SAMPLES, Odometry
 from multi_robot_slam.pipeline.pipeline import FAILED_STEP, Pipeline
 from multi_robot_slam.pipeline.time_guard import MOST_HELD, TimeGuard
 from multi_robot_slam.runs import evaluation
+from multi_robot_slam.smoothing import solve
+from multi_robot_slam.smoothing.solve import SmoothingError
 from sim_world.scenario import Scenario
 from sim_world.simulator import Simulation
 
@@ -442,3 +444,18 @@ def test_plausible_ranges_are_settings():
     seen = STEPS[0][0].observations
     far = replace(seen, positions=first_row([0, 0, 21])(seen.positions))
     assert "21 m away" in plausibility.doubt(far, config.plausible).remedy
+
+
+def test_a_smoothing_that_fails_is_counted_and_told_and_the_run_goes_on(monkeypatch):
+    def fail(*_, **__):
+        raise SmoothingError("smoothing 12 poses: the information is not positive definite")
+
+    always = RejuvenationSettings(ancestors_below=1.0, rest=5)
+    config = replace(CONFIG, filter=replace(CONFIG.filter, rejuvenation=always))
+    monkeypatch.setattr(solve, "smooth", fail)
+    steps, pipeline, told = run(clean(), config)
+    assert len(steps) == len(STEPS)
+    assert all(step.rejuvenated is None for step in steps)
+    assert 0 < pipeline.dropped["failed smoothing"] <= len(STEPS) // 5
+    assert any("12 poses" in line for line in told)
+    assert all(np.isfinite(e.pose).all() for step in steps for e in step.estimates)

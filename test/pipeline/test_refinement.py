@@ -10,6 +10,7 @@ from scipy.stats import chi2
 
 from msg_defs.types import StereoCamera
 from multi_robot_slam import runs
+from multi_robot_slam.models.symmetric import unpack
 from multi_robot_slam.pipeline import offline, refinement
 from multi_robot_slam.pipeline.pipeline import Pipeline
 from sim_world.scenario import Scenario
@@ -181,7 +182,7 @@ def test_refined_map_has_the_errors_it_claims(explored):
         lineage, landmarks = each.perfect()
         refined = refinement.refine(lineage, landmarks, each.config).landmarks
         errors = refined.positions.astype(float) - landmarks.positions
-        covariances = refinement.stereo.unpack(refined.covariances)
+        covariances = unpack(refined.covariances)
         whitened = np.linalg.solve(covariances, errors[:, :, None])[:, :, 0]
         values += np.sum(errors * whitened, axis=1).tolist()
     # Landmarks of one run share its path, so their number is a tenth at the most.

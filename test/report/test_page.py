@@ -282,10 +282,8 @@ def test_page_is_the_same_for_the_same_run():
 def test_names_and_warnings_are_text_not_markup():
     shown = page_of(replace(bare(), dropped={"<script>alert(1)</script>": 1}))
     assert "<script>alert" not in shown
-    run = fake_run(robots=1)
-    named = replace(run.config, robots=("</script><b>",))
-    robots = {"</script><b>": run.robots["robot_1"]}
-    assert "</script><b>" not in page_of(replace(run, config=named, robots=robots, steps=[]))
+    named = runs.here(scenario="</script><b>")
+    assert "</script><b>" not in page_of(replace(bare(), provenance=named))
 
 
 def test_unwritable_folder_is_named(tmp_path):

@@ -7,6 +7,7 @@ import pytest
 from drives import GATE, covariance_of, filtered, posed, straight, with_hubs
 
 from multi_robot_slam.models import stereo
+from multi_robot_slam.models.symmetric import unpack
 from multi_robot_slam.smoothing import draws
 from multi_robot_slam.smoothing.cost import landmarks_and_distances, odometry_residuals
 from multi_robot_slam.smoothing.solve import smooth
@@ -64,7 +65,7 @@ def log_density(problem, poses, weights):
     """Term by term, for one path."""
     landmarks, squared = landmarks_and_distances(problem, poses, weights)
     odometry = np.sum(odometry_residuals(problem, poses) ** 2)
-    determinants = np.linalg.det(stereo.unpack(landmarks[:, 3:]))
+    determinants = np.linalg.det(unpack(landmarks[:, 3:]))
     return -0.5 * (odometry + squared @ weights - np.sum(np.log(determinants)))
 
 
@@ -84,10 +85,10 @@ def test_density_with_landmarks_out_is_the_integral():
     poses[:, :, 1] = [[1.02, 0.15, 0.0], [1.9, 0.45, 1e-9]]
     ones = np.ones(2)
     planes, logs = draws.landmarks_and_log_density(problem, poses, ones)
-    W = stereo.unpack(problem.information)
+    W = unpack(problem.information)
     by_quadrature = []
     for m in range(2):
-        root = np.linalg.cholesky(stereo.unpack(planes[0, 3:, m]))
+        root = np.linalg.cholesky(unpack(planes[0, 3:, m]))
         axis = np.linspace(-6, 6, 41)
         grid = np.stack(np.meshgrid(axis, axis, axis), axis=-1).reshape(-1, 3) @ root.T
         e = (

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from threadpoolctl import threadpool_limits
 
-from multi_robot_slam.models import stereo
 from multi_robot_slam.models.motion import wrap
+from multi_robot_slam.models.symmetric import unpack
 from multi_robot_slam.smoothing import cost, linearised, marginals, solve
 from multi_robot_slam.smoothing.cost import landmarks_and_distances
 from multi_robot_slam.smoothing.envelope import envelope_of, factorise
@@ -50,7 +50,7 @@ def dense(problem):
             A[:, 2 * p - 2 : 2 * p] = -np.eye(2)
         rows.append(A / problem.sigmas[p, :2, None])
         values.append(problem.motions[p, :2] / problem.sigmas[p, :2])
-    W = stereo.unpack(problem.information)
+    W = unpack(problem.information)
     for o, landmark in enumerate(problem.landmarks):
         A = np.zeros((3, 2 * poses + 3 * landmarks))
         A[:2, 2 * problem.seen_from[o] : 2 * problem.seen_from[o] + 2] = -np.eye(2)
@@ -78,7 +78,7 @@ def test_linear_world_is_solved_exactly(monkeypatch, share):
     chosen = marginals.landmark_deviations(problem, found, np.array([2, 0]))
     np.testing.assert_allclose(chosen, Y.reshape(4, 3, -1)[[2, 0]], rtol=1e-12)
     marginal = Y @ Y.T
-    for n, given_poses in enumerate(stereo.unpack(found.landmarks[:, 3:])):
+    for n, given_poses in enumerate(unpack(found.landmarks[:, 3:])):
         marginal[3 * n : 3 * n + 3, 3 * n : 3 * n + 3] += given_poses
     np.testing.assert_allclose(marginal, covariance[12:, 12:], atol=1e-9)
 
@@ -131,7 +131,7 @@ def gtsam_twin(problem, poses, landmarks):
             add(noise, [p], lambda b, u=u, a=start: moved(a, b, u))
         else:
             add(noise, [problem.previous[p], p], lambda a, b, u=u: moved(a, b, u))
-    R = np.linalg.inv(stereo.unpack(problem.information))
+    R = np.linalg.inv(unpack(problem.information))
     for o, n in enumerate(problem.landmarks):
         noise = gtsam.noiseModel.Gaussian.Covariance(R[o])
         add(noise, [problem.seen_from[o], L(n)], lambda x, m, v=problem.positions[o]: seen(x, m, v))

@@ -9,6 +9,7 @@ from numba import njit
 from msg_defs.errors import InputError
 from multi_robot_slam.models import stereo
 from multi_robot_slam.models.motion import MotionSettings, increment, standard_deviations
+from multi_robot_slam.models.symmetric import unpack
 from multi_robot_slam.studies import bench, bench_limits, bench_rows, machine, rivals, session
 from multi_robot_slam.studies.session import Clock, Session
 from multi_robot_slam.studies.workload import World
@@ -107,9 +108,7 @@ def test_observations_and_odometry_have_the_noise_they_state():
             exact = world._landmarks[world.latest[frame.robot]] - [*after[:2], 0]
             error = v - stereo.to_map([0, 0, -after[2]], exact)
             squared.append(
-                np.einsum(
-                    "bi,bi->b", error, np.linalg.solve(stereo.unpack(R), error[..., None])[..., 0]
-                )
+                np.einsum("bi,bi->b", error, np.linalg.solve(unpack(R), error[..., None])[..., 0])
             )
             if step:
                 u = increment(before, after)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import worlds
 
-from multi_robot_slam.models import stereo
+from multi_robot_slam.models.symmetric import unpack
 from multi_robot_slam.studies import textbook
 
 PARTICLES = 4
@@ -29,7 +29,7 @@ def both(request):
         for frame in frames:
             seen, normals = frame.observations, rng.standard_normal((3, PARTICLES))
             z = seen.positions.astype(float), seen.descriptors.astype(float)
-            R = stereo.unpack(seen.covariances)
+            R = unpack(seen.covariances)
             choices.append(
                 literal.fast_slam_mr(S, frame.robot, z, R, frame.motion, normals, model, t)
             )
