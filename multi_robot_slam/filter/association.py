@@ -5,6 +5,7 @@ it if E <= E_0. E does not depend on the particle, so the same landmark is found
 inside the gate in ascending E among those with E <= E_0: one short list serves all particles.
 """
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -65,10 +66,16 @@ def find_candidates(
     distance = np.concatenate(
         [squared_distances(observed, known), squared_distances(observed, observed)], axis=1
     )
-    distance[:, len(known) :][np.triu_indices(count)] = np.inf
+    distance[:, len(known) :][_not_earlier(count)] = np.inf
     rows, columns = np.nonzero(distance <= threshold)
     order = np.lexsort((distance[rows, columns], rows))
     rows, columns = rows[order], columns[order]
     starts = np.searchsorted(rows, np.arange(count + 1)).astype(np.int32)
     signed = np.concatenate([known_columns, -1 - np.arange(count)]).astype(np.int32)
     return Candidates(starts, signed[columns], distance[rows, columns])
+
+
+@lru_cache(maxsize=64)
+def _not_earlier(count: int) -> np.ndarray:
+    """(B, B) bool: the second observation is not made before the first."""
+    return np.triu(np.ones((count, count), bool))

@@ -44,6 +44,8 @@ class Matching(NamedTuple):
 
     observed: Observed
     candidates: Candidates
+    touched: np.ndarray
+    """Columns of the landmarks among the candidates, each once."""
     new_columns: np.ndarray
     """(B,) the column each observation may create."""
     matches: Matches
@@ -67,11 +69,12 @@ def begin(
     candidates = association.find_candidates(
         frame.descriptors, landmarks.descriptors[near], near, settings.descriptor_gate
     )
-    landmarks.bring_up_to_date(_touched(candidates), threads(settings))
+    touched = np.unique(candidates.columns[candidates.columns >= 0])
+    landmarks.bring_up_to_date(touched, threads(settings))
     shape = (count, settings.particles)
     matches = Matches(np.empty(shape, np.int32), np.empty(shape, dtype), np.empty(shape, dtype))
     observed = Observed(v.astype(dtype), noise.astype(dtype))
-    return Matching(observed, candidates, landmarks.reserve(count), matches)
+    return Matching(observed, candidates, touched, landmarks.reserve(count), matches)
 
 
 def finish(
@@ -82,11 +85,11 @@ def finish(
     sighted: Sighted,
 ) -> FrameInfo:
     """Keep the landmarks that were created, and weigh (16)."""
-    candidates, new_columns, matches = matching[1:]
+    _, candidates, touched, new_columns, matches = matching
     new_ids, ids = landmarks.ids[new_columns], landmarks.ids[matches.columns]
     candidate_ids = landmarks.ids[_columns(candidates.columns, new_columns)]
     created = kernels.complete_new(landmarks.planes, new_columns, matches.columns)
-    landmarks.bound(_touched(candidates), settings.gate)
+    landmarks.bound(touched, settings.gate)
     landmarks.bound(new_columns[created > 0], settings.gate)
     landmarks.commit(new_columns, created, frame.descriptors)
     log_likelihood = kernels.log_likelihood(matches.mahalanobis_sq, matches.determinants)
@@ -109,11 +112,6 @@ def as_seen(poses: np.ndarray, dtype: type | np.dtype) -> np.ndarray:
     np.sin(yaw, out=seen[1])
     seen[2:] = poses[:2]
     return seen
-
-
-def _touched(candidates: Candidates) -> np.ndarray:
-    """Landmark columns among the candidates, each once."""
-    return np.unique(candidates.columns[candidates.columns >= 0])
 
 
 def _columns(candidates: np.ndarray, new_columns: np.ndarray) -> np.ndarray:

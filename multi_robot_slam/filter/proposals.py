@@ -103,19 +103,20 @@ def _match_and_draw(
     variances = np.array([(prior[0] + prior[3]).max(), prior[5].max()])
     found = matching.begin(state, frame, settings, MANY_SIGMA * np.sqrt(variances))
     observed, gate = found.observed, settings.gate
-    exact = informed_kernels.needs_double(variances, frame.positions, frame.covariances)
-    dtype = np.dtype(np.float64) if exact else state.landmarks.planes.dtype
-    beliefs = np.empty((9, settings.particles), dtype)
+    believed = observed
+    if informed_kernels.needs_double(variances, frame.positions, frame.covariances):
+        believed, prior = Observed(frame.positions, frame.covariances), prior.astype(np.float64)
+    beliefs = np.empty((9, settings.particles), prior.dtype)
     parallel.over_particles(
         informed_kernels.associate_and_believe,
         settings.particles,
         threads(settings),
         state.landmarks.planes,
         found.candidates,
-        as_seen(poses, dtype),
-        prior.astype(dtype, copy=False),
-        Observed(*(part.astype(dtype, copy=False) for part in observed)),
-        dtype.type(gate),
+        as_seen(poses, prior.dtype),
+        prior,
+        believed,
+        prior.dtype.type(gate),
         settings.exclusive,
         beliefs,
         found.matches,
