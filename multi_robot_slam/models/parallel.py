@@ -1,4 +1,4 @@
-"""Both cores where it pays: compiled loops split over threads, with the same result for any number.
+"""Compiled loops shared out over threads, with the same result for any number of them.
 
 Kernels release the GIL, and what they compute for one particle or column does not depend on how the
 others are shared out.
