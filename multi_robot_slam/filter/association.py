@@ -75,7 +75,9 @@ def find_candidates(
     return Candidates(starts, signed[columns], distance[rows, columns])
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=8)
 def _not_earlier(count: int) -> np.ndarray:
     """(B, B) bool: the second observation is not made before the first."""
-    return np.triu(np.ones((count, count), bool))
+    mask = np.triu(np.ones((count, count), bool))
+    mask.setflags(write=False)
+    return mask

@@ -25,6 +25,12 @@ FAR = 1e9
 NO_LANDMARK = np.array([FAR, 0, 0, 1, 0, 0, 1, 0, 1])
 """Planes of a landmark that a particle does not have."""
 
+LEAST_VOLUME = np.float32(2.0**-14)
+"""Of |R| over the product of the variances: below it single precision has lost 14 of 24 bits."""
+
+LEAST_VARIANCE, LARGEST_VARIANCE = 1e-12, 1e12
+"""Of an observation [m^2]: a product of three is a number of single precision."""
+
 LANES = 32
 """Elements of a row that are compared at once."""
 
@@ -313,13 +319,21 @@ def complete_new(planes, new_columns, matched):
 
 
 @kernel
+def determinant(one, noise):
+    """|R| of `noise` xx xy xz yy yz zz, in the precision of `one`."""
+    xx, xy, xz = one * noise[0], one * noise[1], one * noise[2]
+    yy, yz, zz = one * noise[3], one * noise[4], one * noise[5]
+    return xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+
+
+@kernel
 def weigh_new(column, local, found, count, noise, gate):
     """Match the particles without a match to the new `column`; p_0 is the density on the gate."""
-    det = (
-        noise[0] * (noise[3] * noise[5] - noise[4] * noise[4])
-        - noise[1] * (noise[1] * noise[5] - noise[4] * noise[2])
-        + noise[2] * (noise[1] * noise[4] - noise[3] * noise[2])
-    )
+    det = determinant(local.dtype.type(1), noise)
+    least = LEAST_VOLUME * noise[0] * noise[3] * noise[5]
+    if not det > least:
+        exact = determinant(1.0, noise)
+        det = local.dtype.type(exact if exact > 0 else least)
     for m in range(count):
         if found[m] == UNMATCHED:
             found[m] = column
@@ -345,6 +359,26 @@ def log_likelihood(mahalanobis_sq, determinants):
                 total[m] -= 0.5 * np.log(product[m])
                 product[m] = 1.0
     return total
+
+
+@kernel
+def are_usable(v, noise, limit):
+    """Whether observations v, noise (B, 3), (B, 6), float64, can be used without losing a number.
+
+    They lie within `limit`, and each R is positive definite, with variances single precision holds.
+    """
+    for b in range(len(v)):
+        for k in range(3):
+            if not abs(v[b, k]) <= limit:
+                return False
+        least = min(noise[b, 0], noise[b, 3], noise[b, 5])
+        largest = max(noise[b, 0], noise[b, 3], noise[b, 5])
+        if not (least >= LEAST_VARIANCE and largest <= LARGEST_VARIANCE):
+            return False
+        area = noise[b, 0] * noise[b, 3] - noise[b, 1] * noise[b, 1]
+        if not (area > 0 and determinant(1.0, noise[b]) > 0):
+            return False
+    return True
 
 
 @kernel

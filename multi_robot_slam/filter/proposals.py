@@ -10,7 +10,7 @@ from multi_robot_slam.filter import informed_kernels, kernels, matching, sightin
 from multi_robot_slam.filter.kernels import Observed
 from multi_robot_slam.filter.matching import FrameInfo, as_seen
 from multi_robot_slam.filter.settings import FilterSettings, threads
-from multi_robot_slam.filter.sightings import Sighted
+from multi_robot_slam.filter.sightings import JointBelief, Sighted
 from multi_robot_slam.filter.state import State
 from multi_robot_slam.models import motion, parallel
 from multi_robot_slam.models.frames import RobotFrame
@@ -39,7 +39,7 @@ def propose_by_motion(
         motion.move(poses, scaled(frame.motion, state.scales.factors[frame.robot])[:, None] + noise)
         require_finite(poses)
     certain = np.zeros((len(frames), 6, settings.particles))
-    _, sighted = sightings.see_all(frames, state.poses, certain, settings.sighting_gate)
+    _, sighted = _see_all(frames, state.poses, certain, settings.sighting_gate)
     return [
         _update_as_drawn(state, frame, settings, seen)
         for frame, seen in zip(frames, sighted, strict=True)
@@ -79,7 +79,7 @@ def propose_informed(
         spread = motion.spread(frame.motion, frame.seconds, settings.motion).astype(prior.dtype)
         informed_kernels.spread_in_map(as_seen(poses, prior.dtype), spread, prior)
         require_finite(poses)
-    joint, sighted = sightings.see_all(frames, state.poses, priors, settings.sighting_gate)
+    joint, sighted = _see_all(frames, state.poses, priors, settings.sighting_gate)
     infos = []
     for frame, prior, seen in zip(frames, priors, sighted, strict=True):
         if joint is not None:
@@ -138,10 +138,30 @@ def _match_and_draw(
     return matching.finish(state.landmarks, frame, settings, found, sighted)
 
 
+def _see_all(
+    frames: list[RobotFrame], poses: np.ndarray, priors: np.ndarray, gate: float
+) -> tuple[JointBelief | None, list[Sighted]]:
+    """`sightings.see_all`, whose weights must be numbers before a landmark is written."""
+    joint, sighted = sightings.see_all(frames, poses, priors, gate)
+    if joint is not None:
+        for own in sighted:
+            require_finite(own.log_factor[None], np.finfo(float).max)
+    return joint, sighted
+
+
 def require_finite(values: np.ndarray, limit: float = WIDEST_M) -> None:
     """`NotFiniteError` unless all `values` (n, M), float64, are numbers of size up to `limit`."""
     if not kernels.all_within(values, limit):
         raise NotFiniteError("the step leads to poses or weights that are no finite numbers")
+
+
+def require_usable(frame: RobotFrame) -> None:
+    """`NotFiniteError` where an observation of the frame, or its noise, is beyond all numbers."""
+    if not kernels.are_usable(frame.positions, frame.covariances, WIDEST_M):
+        raise NotFiniteError(
+            f"an observation of robot {frame.robot} is no finite point with a positive definite "
+            f"covariance, variances {kernels.LEAST_VARIANCE:g} to {kernels.LARGEST_VARIANCE:g} m^2"
+        )
 
 
 PROPOSALS = {"motion": propose_by_motion, "informed": propose_informed}

@@ -9,7 +9,12 @@ from multi_robot_slam.filter import rejuvenation, resampling
 from multi_robot_slam.filter.history import History
 from multi_robot_slam.filter.landmarks import Landmarks
 from multi_robot_slam.filter.matching import FrameInfo
-from multi_robot_slam.filter.proposals import PROPOSALS, NotFiniteError, require_finite
+from multi_robot_slam.filter.proposals import (
+    PROPOSALS,
+    NotFiniteError,
+    require_finite,
+    require_usable,
+)
 from multi_robot_slam.filter.rejuvenation import Rejuvenated
 from multi_robot_slam.filter.settings import FilterSettings
 from multi_robot_slam.filter.state import State, resample
@@ -83,9 +88,15 @@ def step(
 def _propose(
     state: State, frames: list[RobotFrame], settings: FilterSettings, rng: np.random.Generator
 ) -> list[FrameInfo]:
-    """Draw poses, match and update landmarks; all as before where that fails."""
+    """Draw poses, match and update landmarks; all as before where that fails.
+
+    Whatever can fail is looked at before the first landmark is written: the observations here, the
+    moved poses and the sightings in the proposals.
+    """
     before = state.poses.copy()
     try:
+        for frame in frames:
+            require_usable(frame)
         infos = PROPOSALS[settings.proposal](state, frames, settings, rng)
         for info in infos:
             require_finite(info.log_likelihood[None], np.finfo(float).max)
@@ -124,8 +135,9 @@ def warm_up(settings: FilterSettings) -> None:
         np.tile([1.0, 0, 0, 1, 0, 1], (2, 1)),
         np.eye(2, DESCRIPTOR_SIZE, dtype=np.float32),
     )
-    for _ in range(3):
-        frames = [RobotFrame(robot, 0, np.array([0.1, 0, 0.1]), *seen) for robot in range(2)]
+    for precision in (1.0, 1.0, 1.0, 1e-9):  # the last one is believed in double
+        own = (seen[0], seen[1] * precision, seen[2])
+        frames = [RobotFrame(robot, 0, np.array([0.1, 0, 0.1]), *own) for robot in range(2)]
         step(state, frames, settings, rng)
     if settings.rejuvenation.ancestors_below > 0:
         rejuvenation.rejuvenate(state, settings, rng)

@@ -38,4 +38,5 @@ def unpack(covariances: np.ndarray) -> np.ndarray:
 
 def pack(matrices: np.ndarray) -> np.ndarray:
     """(..., 3, 3) symmetric -> (..., 6) `xx xy xz yy yz zz`."""
-    return matrices.reshape(*matrices.shape[:-2], 9)[..., [0, 1, 2, 4, 5, 8]]
+    rows = matrices.reshape(*matrices.shape[:-2], 9)
+    return np.ascontiguousarray(rows[..., [0, 1, 2, 4, 5, 8]])

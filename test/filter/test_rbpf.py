@@ -1,6 +1,5 @@
 """The filter against Algorithm 1 itself, and against its own laws."""
 
-import contextlib
 import copy
 from dataclasses import replace
 
@@ -9,9 +8,10 @@ import numpy as np
 import pytest
 import worlds
 
-from multi_robot_slam.filter import rbpf, resampling
+from multi_robot_slam.filter import informed_kernels, kernels, rbpf, resampling
 from multi_robot_slam.filter.landmarks import Landmarks
 from multi_robot_slam.filter.settings import RejuvenationSettings
+from multi_robot_slam.models.frames import RobotFrame
 from multi_robot_slam.models.symmetric import pack
 
 
@@ -185,17 +185,57 @@ def test_a_step_that_leads_to_no_numbers_is_not_done(proposal, bad):
     np.testing.assert_array_equal(*(info.frames[0].mahalanobis_sq for info in again))
 
 
-def test_an_observation_that_overflows_updates_no_landmark():
-    """Plausible input is the pipeline's to check; whatever comes, no landmark gets a NaN."""
-    settings = worlds.settings(particles=10, proposal="informed")
+@pytest.mark.parametrize("proposal", ["motion", "informed"])
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 3e20, 0.0, -1.0])
+def test_a_bad_frame_leaves_no_trace_of_the_good_one_beside_it(proposal, bad):
+    settings = worlds.settings(particles=10, proposal=proposal)
     steps = worlds.drive(3, steps=6)
     state, _ = run_filter(steps[:5], settings, seed=0)
-    frames = [replace(f, covariances=f.covariances * 1e25) for f in steps[5]]
-    with np.errstate(all="ignore"), contextlib.suppress(rbpf.NotFiniteError):
+    before = copy.deepcopy(state)
+    frames = list(steps[5])
+    frames[2] = replace(frames[2], covariances=frames[2].covariances * bad)
+    with pytest.raises(rbpf.NotFiniteError, match="robot 2"):
         rbpf.step(state, frames, settings, np.random.default_rng(1))
-    old = [column for column in state.landmarks.alive() if state.landmarks.ids[column] < 20]
-    assert np.isfinite(state.landmarks.planes[old]).all()
-    assert np.isfinite(state.poses).all()
+    alive = before.landmarks.alive()
+    assert state.landmarks.alive().tolist() == alive.tolist()
+    np.testing.assert_array_equal(state.poses, before.poses)
+    np.testing.assert_array_equal(state.landmarks.planes[alive], before.landmarks.planes[alive])
+    np.testing.assert_array_equal(state.landmarks.boxes[alive], before.landmarks.boxes[alive])
+    assert len(state.history.records) == len(before.history.records)
+
+
+def test_a_flat_covariance_weighs_what_it_weighs_in_double():
+    """A point 300 m off: 30 m uncertain in range, 1 cm across. Its |R| is lost in single."""
+    noise, turn = np.diag([900.0, 1e-4, 1e-4]), 0.6
+    c, s = np.cos(turn), np.sin(turn)
+    R = stereo_turn(c, s) @ noise @ stereo_turn(c, s).T
+    settings = worlds.settings(particles=4, proposal="motion")
+    states = [rbpf.init(worlds.START[:1], settings, dtype) for dtype in (np.float32, np.float64)]
+    v = np.array([[300 * c, 300 * s, 1.0]])
+    frame = RobotFrame(0, 0, np.zeros(3), v, pack(R[None]), np.eye(1, 128, dtype=np.float32))
+    for state in states:
+        rbpf.step(state, [frame], settings, np.random.default_rng(0))
+    single, double = (state.log_weight_sum for state in states)
+    # R itself is rounded to single: by 2^-24 of its largest variance, 5 % of its |R|.
+    np.testing.assert_allclose(single, double, atol=0.1)
+
+
+def stereo_turn(c, s):
+    return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+
+
+def test_warm_up_compiles_all_that_coarse_and_fine_frames_use():
+    used = [kernels.associate_and_update, informed_kernels.associate_and_believe]
+    used += [informed_kernels.update_matched, informed_kernels.needs_double, kernels.are_usable]
+    settings = worlds.settings(particles=4, proposal="informed")
+    rbpf.warm_up(settings)
+    before = [len(kernel.signatures) for kernel in used]
+    state = rbpf.init(worlds.START, settings)
+    for frames in worlds.drive(0, steps=3):
+        for scale in (1.0, 1e-8):
+            own = [replace(f, covariances=f.covariances * scale) for f in frames]
+            rbpf.step(state, own, settings, np.random.default_rng(0))
+    assert [len(kernel.signatures) for kernel in used] == before
 
 
 @pytest.mark.parametrize("ancestors_below", [0.0, 0.5])
