@@ -136,7 +136,7 @@ def problem_of(
     identities : for each record (B,), which landmark each observation is of; below 0: of none, a
         gross error.
     start_poses : (K, 3).
-    known : what older poses say of landmarks (`solve.marginalise`); ids in any order.
+    known : what older poses say of landmarks (`marginals.marginalise`); ids in any order.
     factors : (K, 2) of the odometry's distances and turns; default: none.
 
     """

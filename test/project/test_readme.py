@@ -103,3 +103,14 @@ def test_everything_linked_and_named_is_there():
     assert [name for name in linked + named if not (ROOT / name).exists()] == []
     picture = ROOT / "docs" / "report.png"
     assert picture.stat().st_size < 300_000
+
+
+def test_every_file_that_the_documents_name_is_there():
+    """Paths in backticks that end in .py, from the top or from a package."""
+    roots = [ROOT, ROOT / "multi_robot_slam"]
+    lost = []
+    for document in [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")]:
+        for name in re.findall(r"`((?:[\w.]+/)+\w+\.(?:py|xml))`", document.read_text()):
+            if not any((root / name).exists() for root in roots):
+                lost.append(f"{document.name}: {name}")
+    assert lost == []
