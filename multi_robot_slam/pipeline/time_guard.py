@@ -24,7 +24,8 @@ class TimeGuard:
     An event is far ahead when it is more than `limit_ns` ahead of the other robots' newest; where
     these have been silent for so long, of its own robot's newest. It is believed when another
     robot's stamps leap as far, when its stream goes on while the others stay silent, or when the
-    others catch up. It is dropped when its stream goes on from where it was before.
+    others catch up. It is dropped when its stream goes on from where it was before, and at the end
+    where nothing speaks for it.
 
     Parameters
     ----------
@@ -60,13 +61,29 @@ class TimeGuard:
         return [event, *self._release({robot: self._latest_ns(robot) for robot in self._holding()})]
 
     def rest(self) -> list[Event]:
-        """What is held at the end: it is believed if nobody else has spoken since."""
-        unanswered = {robot for robot, _ in self._unanswered_since_ns}
-        admitted = self._release(dict.fromkeys(unanswered, 2**63))
+        """What is held at the end: believed where a stream goes on, and nobody else has spoken.
+
+        Where nothing was let through at all, there is no time that the held could be ahead of.
+        """
+        everything = dict.fromkeys(self._holding(), 2**63)
+        admitted = self._release(self._went_on_until_ns() if self._newest_ns else everything)
         for event in self._held:
             self._drop(event)
         self._held.clear()
+        self._unanswered_since_ns.clear()
         return admitted
+
+    def _went_on_until_ns(self) -> dict[str, int]:
+        """Up to where each robot is believed: where a stream of it goes on, unanswered."""
+        until_ns: dict[str, int] = {}
+        before_ns: dict[Stream, int] = {}
+        for held in self._held:
+            stream, last_ns = stream_of(held), until_ns.get(held.robot, _NEVER_NS)
+            apart_ns = held.stamp_ns - before_ns.get(stream, _NEVER_NS)
+            if stream in self._unanswered_since_ns and 0 < apart_ns <= self._limit_ns:
+                until_ns[held.robot] = max(last_ns, held.stamp_ns + self._limit_ns)
+            before_ns[stream] = held.stamp_ns
+        return until_ns
 
     def _latest_ns(self, robot: str) -> int:
         """The latest stamp of a robot that is not far ahead; before the first event none is."""

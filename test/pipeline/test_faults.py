@@ -293,6 +293,29 @@ def test_the_guard_lets_each_event_through_once_or_drops_it(sent):
     assert sorted(map(id, admitted + dropped)) == sorted(map(id, events))
 
 
+@pytest.mark.parametrize("ahead_s", [6.0, 3600.0])
+@pytest.mark.parametrize("kinds", [ObservationSet, (PoseSample, ObservationSet)])
+def test_a_stamp_far_ahead_before_a_rest_moves_nobodys_time(ahead_s, kinds):
+    """The team rests, what is held back is filtered, and all go on: nothing else is lost."""
+    resting = 6 * ODD
+    odd = [
+        replace(e, stamp_ns=e.stamp_ns + int(ahead_s * SECOND))
+        if e.robot == "robot_3" and isinstance(e, kinds)
+        else e
+        for e in clean()[resting - 2 : resting]
+    ]
+    pipeline = Pipeline(CONFIG)
+    steps = run_on(pipeline, [*clean()[: resting - 2], *odd])
+    steps += run_on(pipeline, clean()[resting:])
+    assert pipeline.dropped == {"stamp far ahead": 1 if kinds is ObservationSet else 2}
+    assert [len(s.frames) for s in steps] == [3 - (i == ODD - 1) for i in range(len(STEPS))]
+
+
+def run_on(pipeline, events):
+    """The steps of these events, after which the team rests."""
+    return [step for event in events for step in pipeline.handle(event)] + pipeline.finish()
+
+
 def at(robot, second):
     return PoseSample(robot, int(second * SECOND), np.zeros(3))
 
@@ -306,6 +329,39 @@ def test_a_robot_alone_is_believed_when_its_stream_goes_on():
     guard = TimeGuard(5 * SECOND)
     sent = [at("a", second) for second in (0, 1, 60, 60.1, 60.2)]
     assert admitted(guard, *sent) == [[], [0, 1], [], [60, 60.1], [60.2]]
+
+
+@pytest.mark.parametrize(
+    ("sent", "believed"),
+    [
+        ([("a", 60)], []),
+        ([("a", 60), ("a", 60)], []),
+        ([("a", 60), ("a", 60.1)], [60, 60.1]),
+        ([("a", 3600), ("a", 60), ("a", 60.1)], [60, 60.1]),
+        ([("a", 60), ("a", 60.1), ("b", 1)], []),
+    ],
+)
+def test_a_rest_believes_what_goes_on_and_nobody_has_answered(sent, believed):
+    dropped = []
+    guard = TimeGuard(5 * SECOND, dropped.append)
+    admitted(guard, *(at(robot, 0) for robot in "abc"))
+    let_through = [s for now in admitted(guard, *(at(*one) for one in sent)) for s in now]
+    assert let_through == [second for robot, second in sent if robot == "b"]
+    assert [e.stamp_ns / SECOND for e in guard.rest()] == believed
+    assert len(dropped) == len(sent) - len(let_through) - len(believed)
+
+
+def test_what_a_rest_has_dropped_speaks_for_nothing():
+    guard = TimeGuard(5 * SECOND)
+    admitted(guard, at("a", 0), at("b", 0), at("a", 3600))
+    assert guard.rest() == []
+    assert admitted(guard, at("a", 3700)) == [[]]
+
+
+def test_a_rest_believes_the_only_events_there_are():
+    guard = TimeGuard(5 * SECOND)
+    assert admitted(guard, at("a", 0)) == [[]]
+    assert [e.stamp_ns for e in guard.rest()] == [0]
 
 
 def test_two_robots_that_leap_as_far_are_believed():
