@@ -18,7 +18,7 @@ from multi_robot_slam.filter.settings import FilterSettings, RejuvenationSetting
 from multi_robot_slam.pipeline import offline, plausibility
 from multi_robot_slam.pipeline.odometry import MOST_SAMPLES, Odometry
 from multi_robot_slam.pipeline.pipeline import FAILED_STEP, Pipeline
-from multi_robot_slam.pipeline.time_guard import MOST_HELD, TimeGuard
+from multi_robot_slam.pipeline.time_guard import MOST_HELD, MOST_UNANSWERED, TimeGuard
 from multi_robot_slam.runs import evaluation
 from multi_robot_slam.smoothing import solve
 from multi_robot_slam.smoothing.solve import SmoothingError
@@ -387,6 +387,45 @@ def test_the_guard_keeps_no_more_than_it_may():
         guard.admit(PoseSample("wrong", 3600 * SECOND + i * 10**6, np.zeros(3)))
     assert len(dropped) >= 2 * MOST_HELD - 1
     assert {e.robot for e in dropped} == {"wrong"}
+
+
+def seen_at(robot, second):
+    return replace(STEPS[0][0].observations, robot=robot, stamp_ns=int(second * SECOND))
+
+
+@pytest.mark.parametrize("kind", [at, seen_at])
+def test_a_robot_that_goes_on_after_a_pause_loses_nothing_however_long_it_is_held(kind):
+    dropped = []
+    guard = TimeGuard(60 * SECOND, dropped.append)
+    admitted(guard, at("a", 0), at("b", 0))
+    sent = [100 + i / 64 for i in range(4000)]
+    let_through = [s for now in admitted(guard, *(kind("a", s) for s in sent)) for s in now]
+    assert not dropped
+    assert let_through == sent
+
+
+def test_frames_are_given_up_before_odometry():
+    dropped = []
+    guard = TimeGuard(60 * SECOND, dropped.append)
+    admitted(guard, at("a", 0), at("b", 0))
+    for i in range(MOST_HELD):
+        guard.admit(at("a", 3600 + i / 100))
+        if i % 10 == 0:
+            guard.admit(seen_at("a", 3600 + i / 100))
+            guard.admit(at("b", i / 100))
+    assert [e.stamp_ns / SECOND for e in dropped] == [3600 + i / 10 for i in range(100)]
+    assert {type(e) for e in dropped} == {ObservationSet}
+
+
+def test_a_robot_whose_clock_stands_still_far_ahead_fills_no_memory():
+    dropped = []
+    guard = TimeGuard(60 * SECOND, dropped.append)
+    admitted(guard, at("a", 0), at("b", 0))
+    for _ in range(MOST_UNANSWERED + 7):
+        guard.admit(at("a", 3600))
+    assert len(dropped) == 7
+    guard.admit(at("b", 1))
+    assert len(dropped) == MOST_UNANSWERED + 7 - MOST_HELD
 
 
 def drive(poses, period_s=0.1):
