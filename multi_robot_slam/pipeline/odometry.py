@@ -101,12 +101,14 @@ class Odometry:
     def motion_to(self, stamp_ns: int) -> tuple[np.ndarray, float]:
         """Motion (3,) since the frame that was used last, and how long it took [s].
 
-        Odometry must have reached `stamp_ns`, and no frame before it is asked for any more.
+        The first frame asked for is where the robot starts, whether or not it can be used. Odometry
+        must have reached `stamp_ns`, and no frame before it is asked for any more.
         """
         pose = self._at(stamp_ns)
         self._reached = stamp_ns, pose
         self._reached_in_odom = self._samples[0].in_odom(pose)
         if self._used is None:
+            self.use()
             return np.zeros(3), 0.0
         used_ns, used_pose = self._used
         return increment(used_pose, pose), (stamp_ns - used_ns) / 1e9

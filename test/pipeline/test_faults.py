@@ -498,6 +498,26 @@ def test_a_step_that_cannot_be_done_is_lost_alone(monkeypatch, error):
     assert error_m(steps) < 3.0
 
 
+def test_after_a_first_step_that_cannot_be_done_the_robot_has_moved_from_its_start(monkeypatch):
+    """The start pose is that of the first frame: the second has the motion since then."""
+    right, done = rbpf.step, []
+
+    def fails_first(state, frames, settings, rng):
+        done.append(frames)
+        if len(done) == 1:
+            raise ArithmeticError("no finite numbers")
+        return right(state, frames, settings, rng)
+
+    expected = np.diff([step[0].odometry.pose[:2] for step in STEPS[:2]], axis=0)
+    monkeypatch.setattr(rbpf, "step", fails_first)
+    steps, pipeline, _ = run(clean())
+    assert pipeline.dropped == {FAILED_STEP: 1}
+    assert len(steps) == len(STEPS) - 1
+    assert np.hypot(*done[1][0].motion[:2]) == pytest.approx(np.hypot(*expected[0]))
+    assert np.hypot(*expected[0]) > 0.1
+    assert done[1][0].seconds == pytest.approx(done[2][0].seconds)
+
+
 OPEN = Plausible(
     farthest_m=1e30,
     smallest_sigma_m=1e-30,
