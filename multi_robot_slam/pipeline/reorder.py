@@ -121,15 +121,23 @@ class Reorder:
     def _frames(self, stamp_ns: int, robots: list[RobotInputs]) -> list[RobotFrame]:
         """The frames of `robots`, and one without observations of each other robot they see."""
         seen_by = {r.index: r.sightings_at(stamp_ns) for r in robots}
+        for robot in self.robots:
+            robot.drop_sightings(stamp_ns)
         seen = {int(n) for own in seen_by.values() if own for n in own.others} - seen_by.keys()
         placed = {n for n in seen if self.robots[n].odometry.newest_ns >= stamp_ns}
-        if seen > placed:
-            names = ", ".join(self.robots[n].name for n in sorted(seen - placed))
-            first = next(own for own in seen_by.values() if own)
-            self._drop(first, Doubt(UNPLACED, f"it sees {names}; send odometry of every robot"))
+        for own in filter(None, seen_by.values()):
+            self._tell_of_unplaced(own, seen - placed)
         known = seen_by.keys() | placed
         return [
             robot.frame(stamp_ns, only(seen_by.get(robot.index), known))
             for robot in self.robots
             if robot.index in known
         ]
+
+    def _tell_of_unplaced(self, sightings: Sightings, unplaced: set[int]) -> None:
+        """Count and tell of sightings of robots (indices in the team) whose place is unknown."""
+        lost = sorted(unplaced & set(sightings.others.tolist()))
+        if lost:
+            names = ", ".join(self.robots[n].name for n in lost)
+            remedy = f"it sees {names}; send odometry of every robot"
+            self._drop(sightings, Doubt(UNPLACED, remedy))
