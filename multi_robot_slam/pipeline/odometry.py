@@ -9,7 +9,7 @@ import numpy as np
 from msg_defs.types import PoseSample
 from multi_robot_slam.config import Plausible
 from multi_robot_slam.models.motion import increment, move, wrap
-from multi_robot_slam.pipeline.plausibility import Doubt
+from multi_robot_slam.pipeline.plausibility import Refusal
 
 MOST_SAMPLES = 20_000
 """Kept for frames to come: minutes at any usual rate."""
@@ -20,11 +20,11 @@ SAMPLES_OF_A_RESET = 3
 STAMP_ERROR_S = 0.01
 """How much longer than its stamps say a motion may have taken."""
 
-NOT_KEPT = Doubt("odometry not kept", f"{MOST_SAMPLES} samples wait for a frame; send frames")
-JUMP = Doubt(
+NOT_KEPT = Refusal("odometry not kept", f"{MOST_SAMPLES} samples wait for a frame; send frames")
+JUMP = Refusal(
     "odometry jump", "no robot is that fast; correct it, or raise plausible.fastest_m_s, _rad_s"
 )
-RESET = Doubt("odometry reset", "the robot goes on from where it was; do not reset odometry")
+RESET = Refusal("odometry reset", "the robot goes on from where it was; do not reset odometry")
 
 
 class _Sample(NamedTuple):
@@ -52,7 +52,7 @@ class Odometry:
 
     """
 
-    def __init__(self, limits: Plausible, tell: Callable[[PoseSample, Doubt], None]) -> None:
+    def __init__(self, limits: Plausible, tell: Callable[[PoseSample, Refusal], None]) -> None:
         self._limits = limits
         self._tell = tell
         self._samples: deque[_Sample] = deque()

@@ -16,15 +16,15 @@ from msg_defs.types import (
 from multi_robot_slam.config import Config
 from multi_robot_slam.models.frames import RobotFrame
 from multi_robot_slam.pipeline.odometry import Odometry
-from multi_robot_slam.pipeline.plausibility import Doubt
+from multi_robot_slam.pipeline.plausibility import Refusal
 
-NO_FRAME = Doubt("sighting without a frame", "send a cloud with the sightings, even an empty one")
+NO_FRAME = Refusal("sighting without a frame", "send a cloud with the sightings, even an empty one")
 
 
 class RobotInputs:
     """One robot's streams: odometry, observations, and sightings where it sends them."""
 
-    def __init__(self, index: int, config: Config, drop: Callable[[Event, Doubt], None]) -> None:
+    def __init__(self, index: int, config: Config, drop: Callable[[Event, Refusal], None]) -> None:
         self.index = index
         self.name = config.robots[index]
         self.waiting: deque[ObservationSet] = deque()

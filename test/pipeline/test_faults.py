@@ -161,7 +161,7 @@ def test_what_is_far_or_exact_but_possible_is_used():
     quantised = replace(seen, descriptors=bytes_of.astype(np.float32))
     utm = replace(STEPS[0][0].odometry, pose=np.array([5e5, 9.9e6, 0.0]))
     for event in (far, exact, vague, quantised, utm):
-        assert plausibility.doubt(event, Plausible()) is None
+        assert plausibility.refusal(event, Plausible()) is None
 
 
 @pytest.mark.parametrize("sigma_m", [1e-5, 1e4])
@@ -169,7 +169,7 @@ def test_limits_are_of_the_standard_deviation(sigma_m):
     inwards = 1.05 if sigma_m < 1 else 0.95
     seen = STEPS[0][0].observations
     of = {s: isotropic(s**2)(seen) for s in (sigma_m * inwards, sigma_m / inwards)}
-    assert [bool(plausibility.doubt(seen, Plausible())) for seen in of.values()] == [False, True]
+    assert [bool(plausibility.refusal(seen, Plausible())) for seen in of.values()] == [False, True]
 
 
 def test_a_robot_whose_frames_are_all_implausible_holds_up_nobody():
@@ -431,7 +431,7 @@ def test_a_robot_whose_clock_stands_still_far_ahead_fills_no_memory():
 def drive(poses, period_s=0.1):
     """What an `Odometry` makes of these poses: the motions to each that is reached, and reasons."""
     told, motions = [], []
-    odometry = Odometry(Plausible(), lambda sample, doubt: told.append(doubt.reason))
+    odometry = Odometry(Plausible(), lambda sample, refusal: told.append(refusal.reason))
     for i, pose in enumerate(poses):
         stamp = int((i + 1) * period_s * SECOND)
         odometry.take(PoseSample("a", stamp, np.array(pose, float)))
@@ -468,7 +468,7 @@ def test_wild_samples_never_become_motion(where, off, count):
 
 def test_odometry_that_no_frame_uses_is_bounded_counted_and_told():
     told = []
-    odometry = Odometry(Plausible(), lambda sample, doubt: told.append(doubt.reason))
+    odometry = Odometry(Plausible(), lambda sample, refusal: told.append(refusal.reason))
     for i in range(MOST_SAMPLES + 7):
         odometry.take(PoseSample("a", i, np.zeros(3)))
     assert told == ["odometry not kept"] * 7
@@ -557,7 +557,7 @@ def test_plausible_ranges_are_settings():
     assert config.filter == FilterSettings(particles=3)
     seen = STEPS[0][0].observations
     far = replace(seen, positions=first_row([0, 0, 21])(seen.positions))
-    assert "21 m away" in plausibility.doubt(far, config.plausible).remedy
+    assert "21 m away" in plausibility.refusal(far, config.plausible).remedy
 
 
 def test_a_smoothing_that_fails_is_counted_and_told_and_the_run_goes_on(monkeypatch):
