@@ -31,6 +31,10 @@ class Listener(spin.EdgeNode):
         self.readers = {t: endpoints.subscribe(self, t, self.heard[t].append) for t in topics}
         self._outbox = []
 
+    def is_connected(self):
+        """Somebody publishes each of the topics."""
+        return all(map(self.count_publishers, (r.topic_name for r in self.readers.values())))
+
     def send(self, messages):
         """Publish (topic, bytes) once everybody spins, so that they arrive in this order."""
         outputs = {topic: endpoints.publisher(self, topic) for topic, _ in messages}

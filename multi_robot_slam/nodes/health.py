@@ -36,8 +36,7 @@ class Health:
         self.step: StepRecord | None = None
         self._frames = dict.fromkeys(self._heard_s, 0)
         self._failed_told = 0
-        self._lost_at_step = 0
-        self._loses_since_s: float | None = None
+        self._forgive(0)
 
     def hear(self, robot: str) -> None:
         """A message of `robot` arrived now."""
@@ -46,7 +45,7 @@ class Health:
     def note(self, step: StepRecord, lost: int) -> None:
         """A step was done, and so much was lost by then."""
         self.step = step
-        self._lost_at_step, self._loses_since_s = lost, None
+        self._forgive(lost)
         for frame in step.frames:
             self._frames[frame.robot] += 1
 
@@ -99,12 +98,20 @@ class Health:
             return wire.ERROR, "nothing but losses: see what is dropped, and why"
         return (wire.WARN, "messages were dropped") if dropped else (wire.OK, "running")
 
+    def _forgive(self, lost: int) -> None:
+        """What was `lost` so far says nothing about what is to come."""
+        self._lost_told = lost
+        self._loses_since_s, self._lost_last_s = np.inf, -np.inf
+
     def _nothing_but_losses(self, lost: int) -> bool:
-        if lost == self._lost_at_step:
-            return False
-        if self._loses_since_s is None:
-            self._loses_since_s = self._clock()
-        return self._clock() - self._loses_since_s > self._silent_s
+        """Losses have gone on for a while without a step, and have not stopped since."""
+        now_s = self._clock()
+        if lost > self._lost_told:
+            self._lost_told, self._lost_last_s = lost, now_s
+            self._loses_since_s = min(self._loses_since_s, now_s)
+        elif now_s - self._lost_last_s > self._silent_s:
+            self._forgive(lost)
+        return self._lost_last_s - self._loses_since_s > self._silent_s
 
     def _robot_status(self, robot: str) -> wire.Status:
         silence_s = self._clock() - self._heard_s[robot]

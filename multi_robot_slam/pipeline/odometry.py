@@ -9,7 +9,7 @@ import numpy as np
 from msg_defs.types import PoseSample
 from multi_robot_slam.config import Plausible
 from multi_robot_slam.models.motion import increment, move, wrap
-from multi_robot_slam.pipeline.plausibility import Doubt
+from multi_robot_slam.pipeline.plausibility import Refusal
 
 MOST_SAMPLES = 20_000
 """Kept for frames to come: minutes at any usual rate."""
@@ -20,11 +20,11 @@ SAMPLES_OF_A_RESET = 3
 STAMP_ERROR_S = 0.01
 """How much longer than its stamps say a motion may have taken."""
 
-NOT_KEPT = Doubt("odometry not kept", f"{MOST_SAMPLES} samples wait for a frame; send frames")
-JUMP = Doubt(
+NOT_KEPT = Refusal("odometry not kept", f"{MOST_SAMPLES} samples wait for a frame; send frames")
+JUMP = Refusal(
     "odometry jump", "no robot is that fast; correct it, or raise plausible.fastest_m_s, _rad_s"
 )
-RESET = Doubt("odometry reset", "the robot goes on from where it was; do not reset odometry")
+RESET = Refusal("odometry reset", "the robot goes on from where it was; do not reset odometry")
 
 
 class _Sample(NamedTuple):
@@ -52,7 +52,7 @@ class Odometry:
 
     """
 
-    def __init__(self, limits: Plausible, tell: Callable[[PoseSample, Doubt], None]) -> None:
+    def __init__(self, limits: Plausible, tell: Callable[[PoseSample, Refusal], None]) -> None:
         self._limits = limits
         self._tell = tell
         self._samples: deque[_Sample] = deque()
@@ -101,12 +101,14 @@ class Odometry:
     def motion_to(self, stamp_ns: int) -> tuple[np.ndarray, float]:
         """Motion (3,) since the frame that was used last, and how long it took [s].
 
-        Odometry must have reached `stamp_ns`, and no frame before it is asked for any more.
+        The first frame asked for is where the robot starts, whether or not it can be used. Odometry
+        must have reached `stamp_ns`, and no frame before it is asked for any more.
         """
         pose = self._at(stamp_ns)
         self._reached = stamp_ns, pose
         self._reached_in_odom = self._samples[0].in_odom(pose)
         if self._used is None:
+            self.use()
             return np.zeros(3), 0.0
         used_ns, used_pose = self._used
         return increment(used_pose, pose), (stamp_ns - used_ns) / 1e9

@@ -16,13 +16,15 @@ from msg_defs.types import (
 from multi_robot_slam.config import Config
 from multi_robot_slam.models.frames import RobotFrame
 from multi_robot_slam.pipeline.odometry import Odometry
-from multi_robot_slam.pipeline.plausibility import Doubt
+from multi_robot_slam.pipeline.plausibility import Refusal
+
+NO_FRAME = Refusal("sighting without a frame", "send a cloud with the sightings, even an empty one")
 
 
 class RobotInputs:
     """One robot's streams: odometry, observations, and sightings where it sends them."""
 
-    def __init__(self, index: int, config: Config, drop: Callable[[Event, Doubt], None]) -> None:
+    def __init__(self, index: int, config: Config, drop: Callable[[Event, Refusal], None]) -> None:
         self.index = index
         self.name = config.robots[index]
         self.waiting: deque[ObservationSet] = deque()
@@ -30,6 +32,7 @@ class RobotInputs:
         """Stamp of the newest frame heard of, used or not [ns]."""
         self.sightings_ns = -1
         self.odometry = Odometry(config.plausible, drop)
+        self._drop = drop
         self._mount = config.mount_of(index)
         self._sends_sightings = config.sightings
         self._sightings: deque[Sightings] = deque()
@@ -64,12 +67,16 @@ class RobotInputs:
             self.waiting.append(event)
 
     def sightings_at(self, stamp_ns: int) -> Sightings | None:
-        """The sightings at `stamp_ns`; older ones are forgotten."""
-        while self._sightings and self._sightings[0].stamp_ns < stamp_ns:
-            self._sightings.popleft()
+        """Take the sightings at `stamp_ns`; older ones are dropped."""
+        self.drop_sightings(stamp_ns - 1)
         if self._sightings and self._sightings[0].stamp_ns == stamp_ns:
             return self._sightings.popleft()
         return None
+
+    def drop_sightings(self, until_ns: int) -> None:
+        """Give up the sightings up to `until_ns`: no frame will come for them any more."""
+        while self._sightings and self._sightings[0].stamp_ns <= until_ns:
+            self._drop(self._sightings.popleft(), NO_FRAME)
 
     def frame(self, stamp_ns: int, sightings: Sightings | None) -> RobotFrame:
         """The frame at `stamp_ns`, empty if none is waiting, with the motion since the one before.

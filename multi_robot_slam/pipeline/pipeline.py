@@ -18,7 +18,7 @@ from multi_robot_slam.config import Config
 from multi_robot_slam.filter import rbpf
 from multi_robot_slam.models.frames import Record, RobotFrame
 from multi_robot_slam.pipeline import estimates, plausibility
-from multi_robot_slam.pipeline.plausibility import Doubt
+from multi_robot_slam.pipeline.plausibility import Refusal
 from multi_robot_slam.pipeline.records import step_record
 from multi_robot_slam.pipeline.reorder import Reorder
 from multi_robot_slam.pipeline.time_guard import TimeGuard
@@ -30,7 +30,7 @@ FAILURES = (ArithmeticError, ValueError)
 """
 
 FAILED_STEP = "failed step"
-FAR_AHEAD = Doubt("stamp far ahead", "synchronise the robots' clocks, or raise reorder_window_s")
+FAR_AHEAD = Refusal("stamp far ahead", "synchronise the robots' clocks, or raise reorder_window_s")
 
 
 class Pipeline:
@@ -66,7 +66,7 @@ class Pipeline:
         """Take one event; the steps that became possible are done and returned, oldest first."""
         if event.robot not in self.config.robots:
             self._drop(
-                event, Doubt("unknown robot", f"the team is {', '.join(self.config.robots)}")
+                event, Refusal("unknown robot", f"the team is {', '.join(self.config.robots)}")
             )
             return []
         return self._handle_all(self._guard.admit(event))
@@ -118,10 +118,10 @@ class Pipeline:
         for event in events:
             if isinstance(event, ObservationSet):
                 event = self._thinned(event)
-            doubt = plausibility.doubt(event, self.config.plausible)
-            if doubt:
+            refusal = plausibility.refusal(event, self.config.plausible)
+            if refusal:
                 self._reorder.hear(event)
-                self._drop(event, doubt)
+                self._drop(event, refusal)
             else:
                 self._reorder.take(event)
             steps += self._filter(self._reorder.ready())
@@ -157,9 +157,9 @@ class Pipeline:
             )
         return result
 
-    def _drop(self, event: Event, doubt: Doubt) -> None:
+    def _drop(self, event: Event, refusal: Refusal) -> None:
         where = f"{event.robot} at {_time(event.stamp_ns)}"
-        self.lose(doubt.reason, f"dropped {where}: {doubt.reason}; {doubt.remedy}")
+        self.lose(refusal.reason, f"dropped {where}: {refusal.reason}; {refusal.remedy}")
 
     def _tell_of_no_smoothing(self, stamp_ns: int, reason: str) -> None:
         self.lose(

@@ -9,8 +9,8 @@ from msg_defs.types import Event, ObservationSet, PoseSample, Sightings
 from multi_robot_slam.config import Plausible
 
 
-class Doubt(NamedTuple):
-    """Why an event is not believed."""
+class Refusal(NamedTuple):
+    """Why an event is not used."""
 
     reason: str
     """In few words, the same for all of its kind: it is counted by them."""
@@ -18,7 +18,7 @@ class Doubt(NamedTuple):
     """The value, and what to do."""
 
 
-def doubt(event: Event, limits: Plausible) -> Doubt | None:
+def refusal(event: Event, limits: Plausible) -> Refusal | None:
     """What lies outside the `limits`; None where nothing does."""
     if isinstance(event, PoseSample):
         return _of_odometry(event, limits)
@@ -40,25 +40,25 @@ def thinned(seen: ObservationSet, limits: Plausible) -> ObservationSet:
     )
 
 
-def _of_odometry(sample: PoseSample, limits: Plausible) -> Doubt | None:
+def _of_odometry(sample: PoseSample, limits: Plausible) -> Refusal | None:
     distance_m = np.hypot(*sample.pose[:2])
     if distance_m <= limits.farthest_odometry_m and np.isfinite(sample.pose[2]):
         return None
-    return Doubt(
+    return Refusal(
         "implausible odometry",
         f"{distance_m:.3g} m from the origin, yaw {sample.pose[2]:g} rad; correct it, or raise "
         f"plausible.farthest_odometry_m = {limits.farthest_odometry_m:g}",
     )
 
 
-def _of_points(seen: ObservationSet | Sightings, reason: str, limits: Plausible) -> Doubt | None:
+def _of_points(seen: ObservationSet | Sightings, reason: str, limits: Plausible) -> Refusal | None:
     if not len(seen.positions):
         return None
     positions = seen.positions.astype(float)
     distances = np.sqrt(np.einsum("ij,ij->i", positions, positions))
     farthest = int(np.argmax(distances))
     if not distances[farthest] <= limits.farthest_m:
-        return Doubt(
+        return Refusal(
             reason,
             f"point {farthest} is {distances[farthest]:.3g} m away; leave it out, or raise "
             f"plausible.farthest_m = {limits.farthest_m:g}",
@@ -66,13 +66,13 @@ def _of_points(seen: ObservationSet | Sightings, reason: str, limits: Plausible)
     smallest, largest = _sigmas(seen.covariances.astype(float))
     least, most = int(np.argmin(smallest)), int(np.argmax(largest))
     if not smallest[least] >= limits.smallest_sigma_m:
-        return Doubt(
+        return Refusal(
             reason,
             f"point {least} has a standard deviation of {smallest[least]:.3g} m; publish what the "
             f"camera can do, or lower plausible.smallest_sigma_m = {limits.smallest_sigma_m:g}",
         )
     if not largest[most] <= limits.largest_sigma_m:
-        return Doubt(
+        return Refusal(
             reason,
             f"point {most} has a standard deviation of {largest[most]:.3g} m; leave it out, or "
             f"raise plausible.largest_sigma_m = {limits.largest_sigma_m:g}",
@@ -94,14 +94,14 @@ def _sigmas(covariances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return smallest, np.sqrt((xx + yy + zz) / 3)
 
 
-def _of_descriptors(seen: ObservationSet, limits: Plausible) -> Doubt | None:
+def _of_descriptors(seen: ObservationSet, limits: Plausible) -> Refusal | None:
     if not len(seen.descriptors):
         return None
     norms = np.sqrt(np.einsum("ij,ij->i", seen.descriptors, seen.descriptors))
     worst = int(np.argmax(np.abs(norms - 1)))
     if abs(norms[worst] - 1) <= limits.descriptor_norm_error:
         return None
-    return Doubt(
+    return Refusal(
         "implausible descriptors",
         f"descriptor {worst} has the norm {norms[worst]:.3g}; publish unit vectors as FLOAT32, or "
         "512 times as much as UINT8",

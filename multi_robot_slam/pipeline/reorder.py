@@ -12,11 +12,11 @@ from msg_defs.types import Event, ObservationSet, PoseSample, Sightings
 from multi_robot_slam.config import Config
 from multi_robot_slam.models.frames import RobotFrame
 from multi_robot_slam.pipeline.pairing import RobotInputs, only
-from multi_robot_slam.pipeline.plausibility import Doubt
+from multi_robot_slam.pipeline.plausibility import Refusal
 
 LATE_REMEDY = "raise reorder_window_s, or synchronise the robots' clocks"
-NO_ODOMETRY = Doubt("frame without odometry", "send odometry with every frame")
-LATE_FRAME = Doubt("late frame", LATE_REMEDY)
+NO_ODOMETRY = Refusal("frame without odometry", "send odometry with every frame")
+LATE_FRAME = Refusal("late frame", LATE_REMEDY)
 UNPLACED = "sighting of a robot without odometry"
 
 
@@ -29,7 +29,7 @@ class Reorder:
 
     """
 
-    def __init__(self, config: Config, drop: Callable[[Event, Doubt], None]) -> None:
+    def __init__(self, config: Config, drop: Callable[[Event, Refusal], None]) -> None:
         self._drop = drop
         self._window_ns = int(config.reorder_window_s * 1e9)
         self.robots = [RobotInputs(index, config, drop) for index in range(len(config.robots))]
@@ -53,10 +53,10 @@ class Reorder:
     def take(self, event: Event) -> None:
         """Keep an event of a robot of the team, or drop what comes too late."""
         robot = self._by_name[event.robot]
-        doubt = self._doubt(robot, event)
+        refusal = self._refusal(robot, event)
         self.hear(event)
-        if doubt:
-            self._drop(event, doubt)
+        if refusal:
+            self._drop(event, refusal)
         else:
             robot.take(event)
 
@@ -72,20 +72,20 @@ class Reorder:
             while robot.waiting:
                 self._drop(robot.waiting.popleft(), NO_ODOMETRY)
 
-    def _doubt(self, robot: RobotInputs, event: Event) -> Doubt | None:
+    def _refusal(self, robot: RobotInputs, event: Event) -> Refusal | None:
         """Why an event cannot be used, and the remedy."""
         if isinstance(event, PoseSample):
             if event.stamp_ns <= robot.odometry.taken_ns:
-                return Doubt("odometry out of order", "stamps must ascend")
+                return Refusal("odometry out of order", "stamps must ascend")
         elif isinstance(event, Sightings):
             if event.stamp_ns <= max(robot.sightings_ns, self._given_out_ns):
-                return Doubt("late sightings", LATE_REMEDY)
+                return Refusal("late sightings", LATE_REMEDY)
             strangers = [n for n in event.others if n >= len(self.robots) or n == robot.index]
             if strangers:
                 told = f"robot {strangers[0]} is no other one of the team"
-                return Doubt("sighting of nobody", told)
+                return Refusal("sighting of nobody", told)
         elif event.stamp_ns == robot.newest_ns:
-            return Doubt("duplicate frame", "send each stamp once")
+            return Refusal("duplicate frame", "send each stamp once")
         elif event.stamp_ns <= max(robot.newest_ns, self._given_out_ns):
             return LATE_FRAME
         return None
@@ -121,15 +121,23 @@ class Reorder:
     def _frames(self, stamp_ns: int, robots: list[RobotInputs]) -> list[RobotFrame]:
         """The frames of `robots`, and one without observations of each other robot they see."""
         seen_by = {r.index: r.sightings_at(stamp_ns) for r in robots}
+        for robot in self.robots:
+            robot.drop_sightings(stamp_ns)
         seen = {int(n) for own in seen_by.values() if own for n in own.others} - seen_by.keys()
         placed = {n for n in seen if self.robots[n].odometry.newest_ns >= stamp_ns}
-        if seen > placed:
-            names = ", ".join(self.robots[n].name for n in sorted(seen - placed))
-            first = next(own for own in seen_by.values() if own)
-            self._drop(first, Doubt(UNPLACED, f"it sees {names}; send odometry of every robot"))
+        for own in filter(None, seen_by.values()):
+            self._tell_of_unplaced(own, seen - placed)
         known = seen_by.keys() | placed
         return [
             robot.frame(stamp_ns, only(seen_by.get(robot.index), known))
             for robot in self.robots
             if robot.index in known
         ]
+
+    def _tell_of_unplaced(self, sightings: Sightings, unplaced: set[int]) -> None:
+        """Count and tell of sightings of robots (indices in the team) whose place is unknown."""
+        lost = sorted(unplaced & set(sightings.others.tolist()))
+        if lost:
+            names = ", ".join(self.robots[n].name for n in lost)
+            remedy = f"it sees {names}; send odometry of every robot"
+            self._drop(sightings, Refusal(UNPLACED, remedy))

@@ -5,7 +5,10 @@ from collections.abc import Callable
 from msg_defs.types import Event, ObservationSet
 
 MOST_HELD = 1000
-"""Events held back; the clock of a robot that fills this is wrong for good."""
+"""Events held back while others speak; the clock of a robot that fills this is wrong for good."""
+
+MOST_UNANSWERED = 5000
+"""Events held back of a robot that goes on while all others are silent."""
 
 _NEVER_NS = -(2**62)
 
@@ -24,7 +27,8 @@ class TimeGuard:
     An event is far ahead when it is more than `limit_ns` ahead of the other robots' newest; where
     these have been silent for so long, of its own robot's newest. It is believed when another
     robot's stamps leap as far, when its stream goes on while the others stay silent, or when the
-    others catch up. It is dropped when its stream goes on from where it was before.
+    others catch up. It is dropped when its stream goes on from where it was before, and at the end
+    where nothing speaks for it.
 
     Parameters
     ----------
@@ -52,21 +56,39 @@ class TimeGuard:
             self._held.append(event)
             self._unanswered_since_ns.setdefault(stream_of(event), event.stamp_ns)
             believed_ns = event.stamp_ns + self._limit_ns if self._is_confirmed(event) else -1
-            if len(self._held) > MOST_HELD:
-                self._drop(self._held.pop(0))
-            return self._release(dict.fromkeys(self._holding(), believed_ns))
-        self._refute(event)
-        self._note(event)
-        return [event, *self._release({robot: self._latest_ns(robot) for robot in self._holding()})]
+            admitted = self._release(dict.fromkeys(self._holding(), believed_ns))
+        else:
+            self._refute(event)
+            self._note(event)
+            latest_ns = {robot: self._latest_ns(robot) for robot in self._holding()}
+            admitted = [event, *self._release(latest_ns)]
+        self._drop_what_is_too_much()
+        return admitted
 
     def rest(self) -> list[Event]:
-        """What is held at the end: it is believed if nobody else has spoken since."""
-        unanswered = {robot for robot, _ in self._unanswered_since_ns}
-        admitted = self._release(dict.fromkeys(unanswered, 2**63))
+        """What is held at the end: believed where a stream goes on, and nobody else has spoken.
+
+        Where nothing was let through at all, there is no time that the held could be ahead of.
+        """
+        everything = dict.fromkeys(self._holding(), 2**63)
+        admitted = self._release(self._went_on_until_ns() if self._newest_ns else everything)
         for event in self._held:
             self._drop(event)
         self._held.clear()
+        self._unanswered_since_ns.clear()
         return admitted
+
+    def _went_on_until_ns(self) -> dict[str, int]:
+        """Up to where each robot is believed: where a stream of it goes on, unanswered."""
+        until_ns: dict[str, int] = {}
+        before_ns: dict[Stream, int] = {}
+        for held in self._held:
+            stream, last_ns = stream_of(held), until_ns.get(held.robot, _NEVER_NS)
+            apart_ns = held.stamp_ns - before_ns.get(stream, _NEVER_NS)
+            if stream in self._unanswered_since_ns and 0 < apart_ns <= self._limit_ns:
+                until_ns[held.robot] = max(last_ns, held.stamp_ns + self._limit_ns)
+            before_ns[stream] = held.stamp_ns
+        return until_ns
 
     def _latest_ns(self, robot: str) -> int:
         """The latest stamp of a robot that is not far ahead; before the first event none is."""
@@ -107,6 +129,22 @@ class TimeGuard:
         self._held = kept
         since = self._unanswered_since_ns
         self._unanswered_since_ns = {s: ns for s, ns in since.items() if s[0] == event.robot}
+
+    def _drop_what_is_too_much(self) -> None:
+        """Drop the oldest, frames before odometry: their memory is a multiple of a sample's."""
+        most = MOST_HELD if self._held and self._is_answered(self._held[0]) else MOST_UNANSWERED
+        excess = len(self._held) - most
+        if excess > 0:
+            frames_first = sorted(self._held, key=lambda e: not isinstance(e, ObservationSet))
+            too_much = set(map(id, frames_first[:excess]))
+            for event in frames_first[:excess]:
+                self._drop(event)
+            self._held = [held for held in self._held if id(held) not in too_much]
+
+    def _is_answered(self, event: Event) -> bool:
+        """Another robot has spoken since the event was held back."""
+        since_ns = self._unanswered_since_ns.get(stream_of(event))
+        return since_ns is None or event.stamp_ns < since_ns
 
     def _note(self, event: Event) -> None:
         newest_ns = self._newest_ns.get(event.robot, _NEVER_NS)

@@ -57,6 +57,31 @@ def test_nothing_but_losses_is_an_error_until_the_next_step():
     assert level(one, {"late frame": 9}) == wire.WARN
 
 
+def levels(one, clock, losses):
+    """The level each second, when so much was lost by then."""
+    result = []
+    for lost in losses:
+        clock.now_s += 1.0
+        result.append(level(one, {"late frame": lost}))
+    return result
+
+
+@pytest.mark.parametrize("lost", [1, 500])
+def test_a_loss_after_which_all_is_quiet_is_no_error(lost):
+    one, clock = health()
+    one.note(STEP, 0)
+    assert set(levels(one, clock, [lost] * 20)) == {wire.WARN}
+    assert set(levels(one, clock, [2 * lost] * 20)) == {wire.WARN}
+
+
+def test_losses_now_and_then_are_an_error_until_they_end():
+    one, clock = health()
+    one.note(STEP, 0)
+    going_on = levels(one, clock, [1, 1, 1, 2, 2, 2, 3, 3, 3, 4])
+    assert going_on == [wire.WARN] * 6 + [wire.ERROR] * 4
+    assert levels(one, clock, [4] * 10) == [wire.ERROR] * 5 + [wire.WARN] * 5
+
+
 def test_a_robot_is_silent_after_a_while():
     one, clock = health()
     one.hear("robot_1")

@@ -80,8 +80,7 @@ def play(bag, *given, listen_to, clock=time.monotonic):
             if publisher := outputs.get(absolute(topic.name)):
                 nodes.wait_until(lambda p=publisher: p.get_subscription_count() > 0)
         nodes.spin_until(lambda: node.done, node, listener)
-        wait_over = time.monotonic() + 0.2
-        nodes.spin_until(lambda: time.monotonic() > wait_over, listener)
+        nodes.spin_until(nodes.rounds(200), listener)
         return listener.heard
 
 
@@ -204,8 +203,8 @@ def test_waits_until_the_inputs_have_their_subscribers(bag):
     inputs = [kind(name) for name in ROBOTS for kind in INPUTS[:2]]
     with nodes.ros(*parameters(bag, "subscribers:=1")):
         node, some = replay.Replay(), nodes.Listener(*inputs[1:])
-        wait_over = time.monotonic() + 0.5
-        nodes.spin_until(lambda: time.monotonic() > wait_over, node, some)
+        nodes.spin_until(some.is_connected, node, some)
+        nodes.spin_until(nodes.rounds(50), node, some)
         assert not any(some.heard.values())
         last = nodes.Listener(inputs[0], name="last")
         heard = some.heard | last.heard

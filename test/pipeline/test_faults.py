@@ -18,7 +18,7 @@ from multi_robot_slam.filter.settings import FilterSettings, RejuvenationSetting
 from multi_robot_slam.pipeline import offline, plausibility
 from multi_robot_slam.pipeline.odometry import MOST_SAMPLES, Odometry
 from multi_robot_slam.pipeline.pipeline import FAILED_STEP, Pipeline
-from multi_robot_slam.pipeline.time_guard import MOST_HELD, TimeGuard
+from multi_robot_slam.pipeline.time_guard import MOST_HELD, MOST_UNANSWERED, TimeGuard
 from multi_robot_slam.runs import evaluation
 from multi_robot_slam.smoothing import solve
 from multi_robot_slam.smoothing.solve import SmoothingError
@@ -161,7 +161,7 @@ def test_what_is_far_or_exact_but_possible_is_used():
     quantised = replace(seen, descriptors=bytes_of.astype(np.float32))
     utm = replace(STEPS[0][0].odometry, pose=np.array([5e5, 9.9e6, 0.0]))
     for event in (far, exact, vague, quantised, utm):
-        assert plausibility.doubt(event, Plausible()) is None
+        assert plausibility.refusal(event, Plausible()) is None
 
 
 @pytest.mark.parametrize("sigma_m", [1e-5, 1e4])
@@ -169,7 +169,7 @@ def test_limits_are_of_the_standard_deviation(sigma_m):
     inwards = 1.05 if sigma_m < 1 else 0.95
     seen = STEPS[0][0].observations
     of = {s: isotropic(s**2)(seen) for s in (sigma_m * inwards, sigma_m / inwards)}
-    assert [bool(plausibility.doubt(seen, Plausible())) for seen in of.values()] == [False, True]
+    assert [bool(plausibility.refusal(seen, Plausible())) for seen in of.values()] == [False, True]
 
 
 def test_a_robot_whose_frames_are_all_implausible_holds_up_nobody():
@@ -293,6 +293,29 @@ def test_the_guard_lets_each_event_through_once_or_drops_it(sent):
     assert sorted(map(id, admitted + dropped)) == sorted(map(id, events))
 
 
+@pytest.mark.parametrize("ahead_s", [6.0, 3600.0])
+@pytest.mark.parametrize("kinds", [ObservationSet, (PoseSample, ObservationSet)])
+def test_a_stamp_far_ahead_before_a_rest_moves_nobodys_time(ahead_s, kinds):
+    """The team rests, what is held back is filtered, and all go on: nothing else is lost."""
+    resting = 6 * ODD
+    odd = [
+        replace(e, stamp_ns=e.stamp_ns + int(ahead_s * SECOND))
+        if e.robot == "robot_3" and isinstance(e, kinds)
+        else e
+        for e in clean()[resting - 2 : resting]
+    ]
+    pipeline = Pipeline(CONFIG)
+    steps = run_on(pipeline, [*clean()[: resting - 2], *odd])
+    steps += run_on(pipeline, clean()[resting:])
+    assert pipeline.dropped == {"stamp far ahead": 1 if kinds is ObservationSet else 2}
+    assert [len(s.frames) for s in steps] == [3 - (i == ODD - 1) for i in range(len(STEPS))]
+
+
+def run_on(pipeline, events):
+    """The steps of these events, after which the team rests."""
+    return [step for event in events for step in pipeline.handle(event)] + pipeline.finish()
+
+
 def at(robot, second):
     return PoseSample(robot, int(second * SECOND), np.zeros(3))
 
@@ -306,6 +329,39 @@ def test_a_robot_alone_is_believed_when_its_stream_goes_on():
     guard = TimeGuard(5 * SECOND)
     sent = [at("a", second) for second in (0, 1, 60, 60.1, 60.2)]
     assert admitted(guard, *sent) == [[], [0, 1], [], [60, 60.1], [60.2]]
+
+
+@pytest.mark.parametrize(
+    ("sent", "believed"),
+    [
+        ([("a", 60)], []),
+        ([("a", 60), ("a", 60)], []),
+        ([("a", 60), ("a", 60.1)], [60, 60.1]),
+        ([("a", 3600), ("a", 60), ("a", 60.1)], [60, 60.1]),
+        ([("a", 60), ("a", 60.1), ("b", 1)], []),
+    ],
+)
+def test_a_rest_believes_what_goes_on_and_nobody_has_answered(sent, believed):
+    dropped = []
+    guard = TimeGuard(5 * SECOND, dropped.append)
+    admitted(guard, *(at(robot, 0) for robot in "abc"))
+    let_through = [s for now in admitted(guard, *(at(*one) for one in sent)) for s in now]
+    assert let_through == [second for robot, second in sent if robot == "b"]
+    assert [e.stamp_ns / SECOND for e in guard.rest()] == believed
+    assert len(dropped) == len(sent) - len(let_through) - len(believed)
+
+
+def test_what_a_rest_has_dropped_speaks_for_nothing():
+    guard = TimeGuard(5 * SECOND)
+    admitted(guard, at("a", 0), at("b", 0), at("a", 3600))
+    assert guard.rest() == []
+    assert admitted(guard, at("a", 3700)) == [[]]
+
+
+def test_a_rest_believes_the_only_events_there_are():
+    guard = TimeGuard(5 * SECOND)
+    assert admitted(guard, at("a", 0)) == [[]]
+    assert [e.stamp_ns for e in guard.rest()] == [0]
 
 
 def test_two_robots_that_leap_as_far_are_believed():
@@ -333,10 +389,49 @@ def test_the_guard_keeps_no_more_than_it_may():
     assert {e.robot for e in dropped} == {"wrong"}
 
 
+def seen_at(robot, second):
+    return replace(STEPS[0][0].observations, robot=robot, stamp_ns=int(second * SECOND))
+
+
+@pytest.mark.parametrize("kind", [at, seen_at])
+def test_a_robot_that_goes_on_after_a_pause_loses_nothing_however_long_it_is_held(kind):
+    dropped = []
+    guard = TimeGuard(60 * SECOND, dropped.append)
+    admitted(guard, at("a", 0), at("b", 0))
+    sent = [100 + i / 64 for i in range(4000)]
+    let_through = [s for now in admitted(guard, *(kind("a", s) for s in sent)) for s in now]
+    assert not dropped
+    assert let_through == sent
+
+
+def test_frames_are_given_up_before_odometry():
+    dropped = []
+    guard = TimeGuard(60 * SECOND, dropped.append)
+    admitted(guard, at("a", 0), at("b", 0))
+    for i in range(MOST_HELD):
+        guard.admit(at("a", 3600 + i / 100))
+        if i % 10 == 0:
+            guard.admit(seen_at("a", 3600 + i / 100))
+            guard.admit(at("b", i / 100))
+    assert [e.stamp_ns / SECOND for e in dropped] == [3600 + i / 10 for i in range(100)]
+    assert {type(e) for e in dropped} == {ObservationSet}
+
+
+def test_a_robot_whose_clock_stands_still_far_ahead_fills_no_memory():
+    dropped = []
+    guard = TimeGuard(60 * SECOND, dropped.append)
+    admitted(guard, at("a", 0), at("b", 0))
+    for _ in range(MOST_UNANSWERED + 7):
+        guard.admit(at("a", 3600))
+    assert len(dropped) == 7
+    guard.admit(at("b", 1))
+    assert len(dropped) == MOST_UNANSWERED + 7 - MOST_HELD
+
+
 def drive(poses, period_s=0.1):
     """What an `Odometry` makes of these poses: the motions to each that is reached, and reasons."""
     told, motions = [], []
-    odometry = Odometry(Plausible(), lambda sample, doubt: told.append(doubt.reason))
+    odometry = Odometry(Plausible(), lambda sample, refusal: told.append(refusal.reason))
     for i, pose in enumerate(poses):
         stamp = int((i + 1) * period_s * SECOND)
         odometry.take(PoseSample("a", stamp, np.array(pose, float)))
@@ -357,7 +452,7 @@ def test_odometry_that_is_reset_goes_on_without_motion_across_the_jump():
 
 
 @given(
-    st.integers(1, 60),
+    st.integers(1, 63),
     st.sampled_from([(4.0, 0.0, 0.0), (1e7, -1e7, 0.0), (0.0, 0.0, 2.5), (5.0, 0.0, 3.0)]),
     st.integers(1, 2),
 )
@@ -365,16 +460,15 @@ def test_wild_samples_never_become_motion(where, off, count):
     poses = np.array([[0.1 * i, 0.0, 0.02 * i] for i in range(64)])
     wild = poses.copy()
     wild[where : where + count] += off
-    motions, told, _ = drive(wild)
+    motions, told, odometry = drive(wild)
+    odometry.drop_doubted()
     assert max(np.hypot(*motion[:2]) for _, motion in motions) < 0.5
-    lost = min(count, len(poses) - where)
-    end_is_unknown = where + count >= len(poses)
-    assert told == ["odometry jump"] * lost or end_is_unknown
+    assert told == ["odometry jump"] * min(count, len(poses) - where)
 
 
 def test_odometry_that_no_frame_uses_is_bounded_counted_and_told():
     told = []
-    odometry = Odometry(Plausible(), lambda sample, doubt: told.append(doubt.reason))
+    odometry = Odometry(Plausible(), lambda sample, refusal: told.append(refusal.reason))
     for i in range(MOST_SAMPLES + 7):
         odometry.take(PoseSample("a", i, np.zeros(3)))
     assert told == ["odometry not kept"] * 7
@@ -401,6 +495,26 @@ def test_a_step_that_cannot_be_done_is_lost_alone(monkeypatch, error):
     before, after = done[ODD - 1][0], done[ODD][0]
     assert after.seconds == pytest.approx(2 * before.seconds)
     assert error_m(steps) < 3.0
+
+
+def test_after_a_first_step_that_cannot_be_done_the_robot_has_moved_from_its_start(monkeypatch):
+    """The start pose is that of the first frame: the second has the motion since then."""
+    right, done = rbpf.step, []
+
+    def fails_first(state, frames, settings, rng):
+        done.append(frames)
+        if len(done) == 1:
+            raise ArithmeticError("no finite numbers")
+        return right(state, frames, settings, rng)
+
+    expected = np.diff([step[0].odometry.pose[:2] for step in STEPS[:2]], axis=0)
+    monkeypatch.setattr(rbpf, "step", fails_first)
+    steps, pipeline, _ = run(clean())
+    assert pipeline.dropped == {FAILED_STEP: 1}
+    assert len(steps) == len(STEPS) - 1
+    assert np.hypot(*done[1][0].motion[:2]) == pytest.approx(np.hypot(*expected[0]))
+    assert np.hypot(*expected[0]) > 0.1
+    assert done[1][0].seconds == pytest.approx(done[2][0].seconds)
 
 
 OPEN = Plausible(
@@ -443,7 +557,7 @@ def test_plausible_ranges_are_settings():
     assert config.filter == FilterSettings(particles=3)
     seen = STEPS[0][0].observations
     far = replace(seen, positions=first_row([0, 0, 21])(seen.positions))
-    assert "21 m away" in plausibility.doubt(far, config.plausible).remedy
+    assert "21 m away" in plausibility.refusal(far, config.plausible).remedy
 
 
 def test_a_smoothing_that_fails_is_counted_and_told_and_the_run_goes_on(monkeypatch):

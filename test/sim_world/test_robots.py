@@ -1,7 +1,6 @@
 import signal
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
@@ -95,8 +94,8 @@ def test_waits_until_every_topic_has_its_subscribers():
     arguments = ("-p", "only:=robot_1", "-p", "truth_subscribers:=1")
     with nodes.ros(*PARAMETERS, *arguments):
         world, first = robots.SimWorld(), nodes.Listener(*inputs)
-        wait_over = time.monotonic() + 0.5
-        nodes.spin_until(lambda: time.monotonic() > wait_over, world, first)
+        nodes.spin_until(first.is_connected, world, first)
+        nodes.spin_until(nodes.rounds(50), world, first)
         assert not any(first.heard.values())
         second = nodes.Listener(*truths, name="second")
         nodes.spin_until(lambda: world.done, world, first, second)
