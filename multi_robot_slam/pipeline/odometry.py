@@ -24,6 +24,7 @@ NOT_KEPT = Refusal("odometry not kept", f"{MOST_SAMPLES} samples wait for a fram
 JUMP = Refusal(
     "odometry jump", "no robot is that fast; correct it, or raise plausible.fastest_m_s, _rad_s"
 )
+AHEAD = Refusal("odometry stamp ahead", "an older sample came after it; correct the robot's clock")
 RESET = Refusal("odometry reset", "the robot goes on from where it was; do not reset odometry")
 
 
@@ -43,7 +44,8 @@ class Odometry:
     """Takes a robot's odometry in the order of its stamps.
 
     A sample that is further from the last than any robot moves is doubted. If the next samples stay
-    there, the odometry was reset: the robot goes on from where it was. Otherwise it is dropped.
+    there, the odometry was reset: the robot goes on from where it was. Otherwise it is dropped. A
+    sample that an older one follows was stamped ahead: it is taken back.
 
     Parameters
     ----------
@@ -57,6 +59,7 @@ class Odometry:
         self._tell = tell
         self._samples: deque[_Sample] = deque()
         self._last: PoseSample | None = None
+        self._before_last: PoseSample | None = None
         self._doubted: list[PoseSample] = []
         self._origin: np.ndarray | None = None
         self._used: tuple[int, np.ndarray] | None = None
@@ -70,17 +73,24 @@ class Odometry:
         return -1 if self._last is None else self._last.stamp_ns
 
     @property
-    def taken_ns(self) -> int:
-        """Stamp of the last sample, doubted or not, -1 when there is none [ns]."""
-        return self._doubted[-1].stamp_ns if self._doubted else self.newest_ns
-
-    @property
     def used_pose(self) -> np.ndarray:
         """(3,): the robot's pose in its own frame `odom` at the last frame that was used."""
         return self._pose_in_odom
 
+    def is_late(self, stamp_ns: int) -> bool:
+        """A sample of that stamp is older than the last two, or than one that was used already."""
+        if stamp_ns > self.newest_ns:
+            return False
+        before = self._before_last
+        is_known = stamp_ns in (self.newest_ns, -1 if before is None else before.stamp_ns)
+        return is_known or before is None or len(self._samples) < 2 or stamp_ns < before.stamp_ns
+
     def take(self, sample: PoseSample) -> None:
-        """Take a sample that is newer than all before."""
+        """Take a sample that is not late."""
+        if self._doubted and sample.stamp_ns <= self._doubted[-1].stamp_ns:
+            self.drop_doubted()
+        if sample.stamp_ns <= self.newest_ns:
+            self._take_back()
         if self._doubted and self._is_possible(self._doubted[-1], sample):
             self._doubted.append(sample)
             if len(self._doubted) == SAMPLES_OF_A_RESET:
@@ -118,6 +128,13 @@ class Odometry:
         self._used = self._reached
         self._pose_in_odom = self._reached_in_odom
 
+    def _take_back(self) -> None:
+        """Drop the last sample."""
+        if self._last is not None:
+            self._tell(self._last, AHEAD)
+        self._samples.pop()
+        self._last, self._before_last = self._before_last, None
+
     def _is_possible(self, before: PoseSample, after: PoseSample) -> bool:
         seconds = (after.stamp_ns - before.stamp_ns) / 1e9 + STAMP_ERROR_S
         dx, dy, turn = after.pose - before.pose
@@ -129,7 +146,7 @@ class Odometry:
         if self._origin is not None:
             pose = _composed(self._origin, pose)
         self._samples.append(_Sample(sample.stamp_ns, pose, self._origin))
-        self._last = sample
+        self._before_last, self._last = self._last, sample
         if len(self._samples) > MOST_SAMPLES:
             self._samples.popleft()
             self._tell(sample, NOT_KEPT)

@@ -69,6 +69,8 @@ class Pipeline:
                 event, Refusal("unknown robot", f"the team is {', '.join(self.config.robots)}")
             )
             return []
+        if isinstance(event, ObservationSet):
+            event = self._thinned(event)
         return self._handle_all(self._guard.admit(event))
 
     def finish(self) -> list[StepRecord]:
@@ -116,8 +118,6 @@ class Pipeline:
     def _handle_all(self, events: Iterable[Event]) -> list[StepRecord]:
         steps = []
         for event in events:
-            if isinstance(event, ObservationSet):
-                event = self._thinned(event)
             refusal = plausibility.refusal(event, self.config.plausible)
             if refusal:
                 self._reorder.hear(event)

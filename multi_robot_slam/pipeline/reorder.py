@@ -75,7 +75,7 @@ class Reorder:
     def _refusal(self, robot: RobotInputs, event: Event) -> Refusal | None:
         """Why an event cannot be used, and the remedy."""
         if isinstance(event, PoseSample):
-            if event.stamp_ns <= robot.odometry.taken_ns:
+            if robot.odometry.is_late(event.stamp_ns):
                 return Refusal("odometry out of order", "stamps must ascend")
         elif isinstance(event, Sightings):
             if event.stamp_ns <= max(robot.sightings_ns, self._given_out_ns):

@@ -573,3 +573,32 @@ def test_a_smoothing_that_fails_is_counted_and_told_and_the_run_goes_on(monkeypa
     assert 0 < pipeline.dropped["failed smoothing"] <= len(STEPS) // 5
     assert any("12 poses" in line for line in told)
     assert all(np.isfinite(e.pose).all() for step in steps for e in step.estimates)
+
+
+@pytest.mark.parametrize("ahead_s", [0.6, 1.0, 4.0])
+def test_an_odometry_stamp_ahead_costs_that_sample(ahead_s):
+    def ahead(event):
+        if isinstance(event, PoseSample):
+            return replace(event, stamp_ns=event.stamp_ns + int(ahead_s * SECOND))
+        return None
+
+    steps, pipeline, told = run(with_odd(ahead))
+    assert len(steps) == len(STEPS)
+    assert dict(pipeline.dropped) == {"odometry stamp ahead": 1}
+    assert any("robot_2" in line and "clock" in line for line in told)
+
+
+@pytest.mark.parametrize("ahead_s", [0.6, 1.0, 4.0])
+def test_what_a_robot_drives_is_not_lost_with_a_sample_stamped_ahead(ahead_s):
+    """The frame between has a wrong share of the way; the next one makes up for it."""
+    told, total = [], np.zeros(3)
+    odometry = Odometry(Plausible(), lambda sample, refusal: told.append(refusal.reason))
+    for step in range(12):
+        stamp_ns = SECOND + step * SECOND // 2
+        ahead_ns = int(ahead_s * SECOND) * (step == 5)
+        odometry.take(PoseSample("robot_1", stamp_ns + ahead_ns, np.array([0.3 * step, 0.0, 0.0])))
+        if odometry.newest_ns >= stamp_ns:
+            total += odometry.motion_to(stamp_ns)[0]
+            odometry.use()
+    assert told == ["odometry stamp ahead"]
+    np.testing.assert_allclose(total, [0.3 * 11, 0.0, 0.0], atol=1e-9)
