@@ -27,6 +27,10 @@ class Recording:
     out: Annotated[str, "bag folder to write, which must not exist; empty is recording_<time>"] = ""
     robots: Annotated[tuple[str, ...], Len(1), "names of the robots to record"] = ("robot_1",)
 
+    def __post_init__(self) -> None:
+        for name in self.robots:
+            topics.require_robot_name(name)
+
 
 USAGE = Usage(
     "multi_robot_slam record",

@@ -156,6 +156,18 @@ def test_a_folder_that_cannot_be_made_is_refused_at_once(spawn, tmp_path):
     assert said == f"error: cannot write the bag {tmp_path / 'file' / 'bag'}: Not a directory\n"
 
 
+def test_a_name_that_is_no_part_of_a_topic_is_refused_before_the_bag_is_made(spawn, tmp_path):
+    process = spawn(
+        *module("multi_robot_slam.nodes.recorder", f"out:={tmp_path / 'bag'}", 'robots:=["bo b"]'),
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    _, said = process.communicate(timeout=nodes.PATIENCE_S)
+    assert (process.returncode, said.count("\n")) == (2, 1)
+    assert "robot name 'bo b'" in said
+    assert not (tmp_path / "bag").exists()
+
+
 def record(tmp_path, *arguments, messages):
     """The bag of a recorder that was sent `messages` (topic, bytes)."""
     with nodes.ros("-p", f"out:={tmp_path / 'bag'}", *arguments):
