@@ -22,10 +22,12 @@ from typing import NoReturn
 def main() -> None:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     options = parse_arguments()
+    domain = os.environ.setdefault("ROS_DOMAIN_ID", str(random.randint(1, 101))) or "0"
+    if not (domain.isdecimal() and int(domain) <= 232):
+        refuse(f"ROS_DOMAIN_ID = {domain!r}; use a whole number from 0 to 232")
     if find_spec("rclpy") is None:
         refuse("no module 'rclpy': source ROS 2 Jazzy, or pip install 'multi_robot_slam[ros]'")
-    os.environ.setdefault("ROS_DOMAIN_ID", str(random.randint(1, 101)))
-    print("ROS_DOMAIN_ID is", os.environ["ROS_DOMAIN_ID"])
+    print("ROS_DOMAIN_ID is", domain)
     words = ("team", "--scenario", options.scenario, "--robots", str(options.robots))
     told = subprocess.run(
         [sys.executable, "-m", "sim_world.cli", *words], stdout=subprocess.PIPE, text=True

@@ -59,7 +59,8 @@ def record(folder: Path, scenario: Path, seed: int, speed: float) -> None:
         finally:
             _end(processes)
     if failed:
-        sys.exit(f"error: {failed}; what was recorded so far is in {bag}")
+        left = f"what was recorded so far is in {bag}" if bag.exists() else "nothing was recorded"
+        sys.exit(f"error: {failed}; {left}")
 
 
 @contextmanager

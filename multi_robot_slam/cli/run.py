@@ -24,11 +24,13 @@ def demo(
     Leaves a bag, the configuration, result.json, trajectories, the map, pictures and report.html,
     a page to explore them, in runs/<time>, with a link runs/latest.
     """
+    from msg_defs.ros import environment
     from multi_robot_slam import runs
     from multi_robot_slam.cli import folders, processes, results, simulated
     from multi_robot_slam.pipeline import offline
 
     cli.require_ros()
+    environment.prepare()
     text = simulated.to_yaml(*simulated.configure(scenario, robots, seed))
     with folders.new_folder(out) as folder:
         (folder / "scenario.yaml").write_text(text)

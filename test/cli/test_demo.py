@@ -147,6 +147,7 @@ def test_a_process_that_fails_ends_the_demo(start, tmp_path):
     assert process.returncode == 1
     assert "exit code" in said.splitlines()[-1]
     assert said.splitlines()[-1].startswith("error: ")
+    assert ("recorded so far is in" in said) == (tmp_path / "out" / "bag").exists()
     assert alive(tmp_path) == []
 
 
@@ -168,6 +169,16 @@ def test_bad_scenario_is_one_line_and_leaves_nothing(tmp_path, scenario, told, c
     assert (code, out, err.count("\n")) == (2, "", 1)
     assert err.startswith("error: ")
     assert told in err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_domain_that_ros_does_not_have_is_refused_before_anything_starts(
+    tmp_path, monkeypatch, command
+):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "999")
+    code, out, err = command("demo", "--out", tmp_path / "out")
+    told = "error: ROS_DOMAIN_ID = '999'; use a whole number from 0 to 232\n"
+    assert (code, out, err) == (2, "", told)
     assert not (tmp_path / "out").exists()
 
 

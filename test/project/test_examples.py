@@ -1,4 +1,5 @@
 import ast
+import os
 import re
 import subprocess
 import sys
@@ -80,6 +81,19 @@ def test_bad_input_is_one_line_and_exit_code_2(tmp_path, words, told):
     assert (result.returncode, result.stderr.count("\n")) == (2, 1), result.stderr
     assert result.stderr.startswith("error: ")
     assert told in result.stderr
+    assert not (tmp_path / "new").exists()
+
+
+def test_spawn_team_refuses_a_domain_that_ros_does_not_have(tmp_path):
+    result = subprocess.run(
+        [sys.executable, EXAMPLES / "spawn_team.py", tmp_path / "new"],
+        env=os.environ | {"ROS_DOMAIN_ID": "999"},
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+    )
+    told = "error: ROS_DOMAIN_ID = '999'; use a whole number from 0 to 232\n"
+    assert (result.returncode, result.stdout, result.stderr) == (2, "", told)
     assert not (tmp_path / "new").exists()
 
 
