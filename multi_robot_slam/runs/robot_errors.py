@@ -10,16 +10,19 @@ from multi_robot_slam.runs.trajectory_errors import PoseErrors, at, covers, pose
 
 
 class RobotErrors(NamedTuple):
-    """Errors of everything that claims to know where one robot was."""
+    """Errors of everything that claims to know where one robot was, live before hindsight.
 
-    path: PoseErrors
-    """Of the best particle's whole path at the end."""
-    odometry: PoseErrors
-    """Of the odometry alone, composed onto the start pose."""
+    Figures (`evaluation.evaluate`) come in the order of these fields.
+    """
+
     online: PoseErrors
     """Of the poses as published at each step."""
     online_mean: PoseErrors
     """Of the particles' means as published at each step."""
+    path: PoseErrors
+    """Of the best particle's whole path at the end."""
+    odometry: PoseErrors
+    """Of the odometry alone, composed onto the start pose."""
     mean: PoseErrors
     """Of the mean of all particles' whole paths at the end."""
     refined: PoseErrors

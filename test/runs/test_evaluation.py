@@ -113,6 +113,12 @@ def test_perfect_run_has_no_error():
     assert result["duplicates"] == result["misses"] == result["landmarks_unattributed"] == 0
 
 
+def test_what_was_published_comes_before_what_hindsight_makes_of_it():
+    result = evaluate(fake_run())
+    for figures in (result, *result["robots"].values()):
+        assert next(iter(figures)) == "online_path_rmse_m"
+
+
 def test_known_offset_gives_that_rmse():
     run = with_robots(
         fake_run(), lambda _, r: replace(r, path=moved(r.truth, (0.3, -0.4, 0.1)), online=r.truth)
