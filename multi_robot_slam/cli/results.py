@@ -16,7 +16,7 @@ def finish(result: runs.Run, folder: Path) -> dict:
     figures = evaluation.evaluate(result)
     runs.write(result, figures, folder)
     plots.save(result, folder)
-    console.print(evaluation_table.table(figures))
+    console.print(evaluation_table.table(figures, console.width))
     console.print(f"Everything is in {folder}", markup=False)
     return figures
 

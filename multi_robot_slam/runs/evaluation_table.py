@@ -78,18 +78,39 @@ SECTIONS = {
 """
 
 
-def table(result: dict) -> Table:
-    """All known figures of `result` (from `evaluate`), a column for the team and each robot."""
+NUMBER_WIDTH = 6
+"""Of a column of figures, at least [characters]."""
+COLUMN_GAP = 2
+"""Between two columns, and at both ends of the table together [characters]."""
+
+
+def table(result: dict, width: int) -> Table:
+    """All known figures of `result` (from `evaluate`), a column for the team and each robot.
+
+    Of many robots as many as fit into `width` characters; below the table is told of the others.
+    """
+    robots = result["robots"]
+    known = {
+        key for own in (result, *robots.values()) for key, value in own.items() if value is not None
+    }
+    sections = list(titles(known))
+    left = width - max(len(title) for rows in sections for title in rows.values()) - COLUMN_GAP
+    columns = left // (NUMBER_WIDTH + COLUMN_GAP)
+    fitting = dict(list(robots.items())[: max(columns - 1, 0)])
     shown = empty()
-    for name in (TEAM, *result["robots"]):
-        shown.add_column(Text(name), justify="right", overflow="fold", min_width=6)
-    whose = (result, *result["robots"].values())
-    known = {key for figures in whose for key, value in figures.items() if value is not None}
-    for rows in titles(known):
+    shown.columns[0].no_wrap = columns > 0
+    shown.add_column(TEAM, justify="right", no_wrap=True, min_width=NUMBER_WIDTH)
+    for name in fitting:
+        shown.add_column(Text(name), justify="right", overflow="fold", min_width=NUMBER_WIDTH)
+    whose = (result, *fitting.values())
+    for rows in sections:
         shown.add_section()
         for key, title in rows.items():
             cells = (number(figures[key]) if key in figures else "" for figures in whose)
             shown.add_row(Text(title), *cells)
+    if left_out := len(robots) - len(fitting):
+        shown.caption = f"{left_out} more robots: result.json, figures.csv"
+        shown.caption_justify = "left"
     return shown
 
 

@@ -506,11 +506,35 @@ def turned_map(landmarks: LandmarkMap, by: tuple[float, float, float]) -> Landma
     return replace(landmarks, positions=places.astype(np.float32))
 
 
-def shown(run: Run) -> str:
-    console = Console(width=100)
+def printed(figures: dict, width: int = 100) -> str:
+    console = Console(width=width)
     with console.capture() as capture:
-        console.print(evaluation_table.table(evaluate(run)))
+        console.print(evaluation_table.table(figures, width))
     return capture.get()
+
+
+def shown(run: Run) -> str:
+    return printed(evaluate(run))
+
+
+@pytest.mark.parametrize("width", range(40, 400, 7))
+def test_table_of_many_robots_has_the_team_and_whole_columns_and_tells_of_the_rest(width):
+    own = evaluate(fake_run())
+    robots = {f"robot_{i}": dict(own["robots"]["robot_1"]) for i in range(1, 33)}
+    for i, figures in enumerate(robots.values(), 1):
+        figures["online_path_rmse_m"] = i / 1000
+    figures = own | {"online_path_rmse_m": 9.876, "robots": robots}
+    lines = printed(figures, width).splitlines()
+    assert max(map(len, lines)) <= width
+    row = next(line for line in lines if "9.876" in line)
+    values = row.partition("9.876")[2].split()
+    assert values == [f"{i / 1000:.3f}" for i in range(1, len(values) + 1)]
+    assert any("team" in line for line in lines[:4])
+    left_out = [line.strip() for line in lines if "result.json" in line]
+    more = len(robots) - len(values)
+    assert left_out == ([f"{more} more robots: result.json, figures.csv"] if more else [])
+    title = len("  heading [rad]: after the run, aligned as a team")
+    assert not more or width < title + 9 * (len(values) + 2)
 
 
 def test_table_shows_every_robot_the_team_and_units():
