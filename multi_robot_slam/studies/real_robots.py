@@ -17,6 +17,7 @@ import yaml
 from multi_robot_slam import runs
 from multi_robot_slam.config import Config
 from multi_robot_slam.datasets import bag, mrclam
+from multi_robot_slam.datasets.recording import Recording
 from multi_robot_slam.filter.settings import NO_REJUVENATION, FilterSettings
 from multi_robot_slam.pipeline import offline, refinement
 from multi_robot_slam.pipeline.pipeline import Pipeline
@@ -72,9 +73,13 @@ def study(
     The recording in `folder` becomes the bag `out/bag`. Returns the rows asked for, in a fixed
     order, which `out/real.md` summarises.
     """
+    path = out / "bag"
+    # Read before the folder is claimed: one that holds no recording leaves nothing behind.
+    recording = None if path.exists() else mrclam.read(folder)
     source = {"recording": str(folder.resolve()), "rate_hz": RATE_HZ}
     table.claim(out, yaml.safe_dump(source, sort_keys=False))
-    path = _converted(folder, out)
+    if recording is not None:
+        _convert(recording, path)
     config = offline.recorded_config(path)
     if config is None:
         raise AssertionError("what was just converted has its configuration")
@@ -88,15 +93,13 @@ def study(
     return rows
 
 
-def _converted(folder: Path, out: Path) -> Path:
-    """The bag of the recording, which is there whole or not at all."""
-    path, new = out / "bag", out / "converting" / "bag"
-    if not path.exists():
-        shutil.rmtree(new.parent, ignore_errors=True)
-        bag.write(mrclam.read(folder), new, RATE_HZ)
-        new.rename(path)
-        new.parent.rmdir()
-    return path
+def _convert(recording: Recording, path: Path) -> None:
+    """Make the bag of the recording, which is there whole or not at all."""
+    new = path.parent / "converting" / "bag"
+    shutil.rmtree(new.parent, ignore_errors=True)
+    bag.write(recording, new, RATE_HZ)
+    new.rename(path)
+    new.parent.rmdir()
 
 
 def _keyed(job: Job, rows: list[Row]) -> dict[Key, Row]:

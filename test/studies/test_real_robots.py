@@ -112,6 +112,20 @@ def test_an_interrupted_study_goes_on_where_it_stopped(original, rows, folder, t
         assert (tmp_path / name).read_text() == (folder / name).read_text()
 
 
+def test_a_folder_that_holds_no_recording_leaves_the_study_to_another(original, tmp_path):
+    out = tmp_path / "out"
+    with pytest.raises(InputError, match="Barcodes"):
+        real_robots.study(tmp_path / "nowhere", out, range(1), 30, execute)
+    assert not out.exists()
+
+    def end(function, jobs):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        real_robots.study(original, out, range(1), 30, end)
+    assert (out / "bag").exists()
+
+
 def test_rows_of_another_recording_are_not_mixed(original, rows, folder, tmp_path):
     with pytest.raises(InputError, match="other settings"):
         real_robots.study(tmp_path, folder, range(2), 30, execute)
