@@ -40,7 +40,8 @@ def of_run(
     Raises
     ------
     InputError : without a configuration, or when a robot that is stated was not recorded. One that
-        only the bag's own configuration names is told to `warn`.
+        only the bag's own configuration names is told to `warn`, and so are robots that were
+        recorded and are not named.
 
     """
     bag, namespace = recording
@@ -101,7 +102,10 @@ def _for_robots(known: Mapping, stated: Mapping, bag: Path) -> dict:
 def _check_robots(
     recording: Recording, config: Config, are_stated: bool, warn: Callable[[str], None]
 ) -> None:
-    """Make sure that the bag has something of every robot; of none is told when it is read."""
+    """Make sure that the bag has something of every robot, and of no others.
+
+    A bag that has nothing of any of them is refused when it is read.
+    """
     reader = BagReader(recording.bag)
     recorded = {topic.name for topic in reader.summary.topics}
     expected = {r: [topics.odometry(r), topics.observations(r)] for r in config.robots}
@@ -119,3 +123,22 @@ def _check_robots(
             )
         if len(absent) < len(config.robots):
             warn(f"{robot} was not recorded: {what}")
+    others = sorted(_with_odometry(reader, where) - set(config.robots))
+    if others and len(absent) < len(config.robots):
+        warn(
+            f"{recording.bag} has more robots, which are not estimated: {', '.join(others)}; "
+            "name them in robots"
+        )
+
+
+def _with_odometry(reader: BagReader, namespace: str) -> set[str]:
+    """The robots whose odometry is in the bag, by its topics in the `namespace`."""
+    recorded = {topic.name: topic.type for topic in reader.summary.topics}
+    root = absolute("", namespace)
+    names = {name.removeprefix(root).partition("/")[0] for name in recorded}
+    kinds = {name: topics.odometry(name) for name in names}
+    return {
+        name
+        for name, odometry in kinds.items()
+        if recorded.get(absolute(odometry.name, namespace)) == odometry.type
+    }

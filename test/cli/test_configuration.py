@@ -7,7 +7,7 @@ import pytest
 from msg_defs import scenario_file, topics, wire
 from msg_defs.errors import InputError
 from msg_defs.types import CameraMount, PoseSample
-from multi_robot_slam.bags import BagWriter
+from multi_robot_slam.bags import BagWriter, absolute
 from multi_robot_slam.cli import configuration, overrides
 from multi_robot_slam.config import SECTION, Config
 from multi_robot_slam.filter.settings import FilterSettings
@@ -23,16 +23,20 @@ RECORDED = Config(
 )
 
 
-def write_bag(folder, config, robots):
+def write_bag(folder, config, robots, namespace=""):
     """A bag with a configuration, and something from each of `robots`."""
+
+    def named(topic):
+        return topic._replace(name=absolute(topic.name, namespace))
+
     with BagWriter(folder) as bag:
         if config is not None:
             text = scenario_file.to_yaml(**{SECTION: config})
-            bag.write(topics.FUSION_CONFIG, 1, wire.encode_text(text))
+            bag.write(named(topics.FUSION_CONFIG), 1, wire.encode_text(text))
         for robot in robots:
             pose = wire.encode_pose(PoseSample(robot, 1, [0.0, 0.0, 0.0]), "odom", "base_link")
-            bag.write(topics.odometry(robot), 1, pose)
-            bag.write(topics.observations(robot), 1, b"")
+            bag.write(named(topics.odometry(robot)), 1, pose)
+            bag.write(named(topics.observations(robot)), 1, b"")
     return folder
 
 
@@ -81,15 +85,31 @@ def test_what_a_scenario_states_wins_over_the_bag(choose):
 def test_robots_that_are_stated_keep_their_own_start_poses(choose, robots):
     own = dict(zip(RECORDED.robots, RECORDED.start_poses, strict=True))
     listed = ", ".join(robots)
-    for config in (choose(f"{{robots: [{listed}]}}"), choose(None, f"robots=[{listed}]")):
+    told = []
+    for config in (
+        choose(f"{{robots: [{listed}]}}", warn=told.append),
+        choose(None, f"robots=[{listed}]", warn=told.append),
+    ):
         assert config.robots == robots
         assert config.start_poses == tuple(own[robot] for robot in robots)
+
+
+@pytest.mark.parametrize("namespace", ["", "/fleet"])
+def test_robots_that_were_recorded_and_are_not_named_are_told_in_one_warning(
+    choose, tmp_path, namespace
+):
+    told, bag = [], tmp_path / "four"
+    write_bag(bag, RECORDED, ["alice", "bob", "carol", "dave"], namespace)
+    choose("{robots: [bob], start_poses: [[0, 0, 0]]}", of=bag, warn=told.append)
+    assert told == [
+        f"{bag} has more robots, which are not estimated: alice, carol, dave; name them in robots"
+    ]
 
 
 def test_mounts_of_the_bag_go_with_their_robots_until_another_mount_is_stated(choose, tmp_path):
     mounts = ((0.0, 0.1, 0.2, 0.0, 0.0, 0.0), (0.5, 0.0, 0.3, 0.0, 0.1, 0.0))
     bag = write_bag(tmp_path / "mounts", replace(RECORDED, mounts=mounts), RECORDED.robots)
-    config = choose("{robots: [bob]}", of=bag)
+    config = choose("{robots: [bob]}", of=bag, warn=str)
     assert config.mount_of(0) == CameraMount(*mounts[1])
     config = choose("{mount: {up_m: 0.7}}", of=bag)
     assert [config.mount_of(robot).up_m for robot in (0, 1)] == [0.7, 0.7]
