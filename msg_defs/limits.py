@@ -5,7 +5,7 @@ A field is declared as `Annotated[type, limits, "description [unit]"]`; limits c
 other settings.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass
 from functools import cache
 from math import isfinite
@@ -47,6 +47,14 @@ class Field(NamedTuple):
     def allowed(self) -> str:
         """Its type and range in words: 'a whole number, 1 <= value <= 9'."""
         return ", ".join(filter(None, (_words(self.kind), bounds_of(self.metadata).words())))
+
+    def wanted(self) -> str:
+        """What to give for it, in words: what is allowed, and what it means."""
+        if _is_settings(self.kind):
+            names = ", ".join(field.name for field in fields_of(self.kind))
+            return f"the settings in it by their names: {names}"
+        list_of = "a list of " if get_origin(self.kind) is tuple else ""
+        return list_of + ": ".join(filter(None, (self.allowed(), self.description)))
 
 
 @dataclass(frozen=True)
@@ -98,6 +106,20 @@ def leaves(cls: type, prefix: str = "") -> Iterator[Field]:
             yield from leaves(field.kind, f"{prefix}{field.name}.")
         else:
             yield field._replace(name=prefix + field.name)
+
+
+def find(cls: type, keys: Iterable[str | int]) -> Field | None:
+    """The innermost field on the way of `keys` into a settings class and what it nests."""
+    found, inner = None, cls
+    for key in keys:
+        fields = {field.name: field for field in fields_of(inner)}
+        if not isinstance(key, str) or key not in fields:
+            break
+        found = fields[key]
+        if not _is_settings(found.kind):
+            break
+        inner = found.kind
+    return found
 
 
 def bounds_of(metadata: tuple) -> Bounds:

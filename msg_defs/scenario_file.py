@@ -31,7 +31,7 @@ def from_mapping(cls: type[Settings], values: dict, source: str = "settings") ->
     try:
         return TypeAdapter(cls).validate_python(values)
     except ValidationError as error:
-        raise InputError("\n".join(_explain(e, source) for e in error.errors())) from None
+        raise InputError("\n".join(_explain(cls, e, source) for e in error.errors())) from None
 
 
 def sections(text: str, source: str = "YAML") -> dict[str, dict]:
@@ -123,10 +123,14 @@ def _commented(record: Any, indent: str) -> Iterator[str]:
             yield f"{indent}{field.name}: {inline(value)}"
 
 
-def _explain(error: Mapping[str, Any], source: str) -> str:
-    key = ".".join(str(part) for part in error["loc"])
+def _explain(cls: type, error: Mapping[str, Any], source: str) -> str:
+    # Of an element that is missing pydantic tells the place; whoever made the row knows the row.
+    place = error["loc"][:-1] if error["type"] == "missing" else error["loc"]
+    key = ".".join(str(part) for part in place)
     if error["type"] == "unexpected_keyword_argument":
         return f"{source}: unknown key '{key}'; remove it or correct its spelling"
     if error["type"] == "value_error":
         return f"{source}: {error['ctx']['error']}"
-    return f"{source}: {key} = {error['input']!r}: {error['msg']}"
+    field = limits.find(cls, place)
+    wanted = error["msg"] if field is None else f"give {field.wanted()}"
+    return f"{source}: {key} = {error['input']!r}; {wanted}"

@@ -48,7 +48,8 @@ def of_run(
     recorded = offline.recorded_config(bag, namespace)
     if scenario is None and recorded is None:
         raise InputError(
-            f"{bag} carries no configuration on /{topics.FUSION_CONFIG.name}, its topics are "
+            f"{bag} carries no configuration on "
+            f"{absolute(topics.FUSION_CONFIG.name, namespace or '')}, its topics are "
             f"{BagReader(bag).found()}: name one with --scenario"
         )
     stated, source = _stated(scenario)

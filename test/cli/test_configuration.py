@@ -152,6 +152,15 @@ def test_a_robot_of_the_bags_own_configuration_that_sent_nothing_is_told(choose,
     assert "/bob/odom" in line
 
 
+@pytest.mark.parametrize(
+    ("namespace", "topic"), [(None, "/fusion/config"), ("other", "/other/fusion/config")]
+)
+def test_a_missing_configuration_is_told_by_its_topic(tmp_path, namespace, topic):
+    bare = write_bag(tmp_path / "bare", None, ["robot_1"])
+    with pytest.raises(InputError, match=f"no configuration on {topic}, its topics"):
+        configuration.of_run(configuration.Recording(bare, namespace), None, {}, pytest.fail)
+
+
 def test_a_bag_without_configuration_needs_a_scenario(choose, tmp_path):
     bare = write_bag(tmp_path / "bare", None, ["robot_1"])
     with pytest.raises(InputError, match="name one with --scenario"):

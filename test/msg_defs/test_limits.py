@@ -93,3 +93,26 @@ def test_what_means_the_same_becomes_the_fields_own_type():
 def test_a_class_checks_itself_after_its_fields():
     with pytest.raises(InputError, match="2 poses for 1 robots"):
         Config(start_poses=np.zeros((2, 3)))
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"filter": 3}, "filter = 3; give the settings in it by their names: particles, "),
+        ({"robots": "robot_1"}, "robots = 'robot_1'; give a list of texts: "),
+        ({"robots": [1]}, "robots.0 = 1; give a list of texts: "),
+        ({"start_poses": [[0, 0]]}, "start_poses.0 = [0, 0]; give a list of rows of 3 numbers: "),
+        ({"seed": "many"}, "seed = 'many'; give a whole number"),
+        ({"filter": {"particles": 0}}, "filter.particles = 0; give a whole number, 1 <= value"),
+        ({"filter": {"gate": ".inf"}}, "filter.gate = '.inf'; give a number, 0 < value"),
+        ({"filter": {"proposal": "guess"}}, "filter.proposal = 'guess'; give motion or informed"),
+        ({"filter": {"exclusive": 7}}, "filter.exclusive = 7; give true or false"),
+        ({"filter": {"gates": 7}}, "unknown key 'filter.gates'"),
+    ],
+)
+def test_a_file_is_refused_in_the_words_of_its_settings(values, said):
+    with pytest.raises(InputError) as caught:
+        scenario_file.from_mapping(Config, values, "mine.yaml")
+    assert str(caught.value).startswith(f"mine.yaml: {said}")
+    for foreign in ("Input", "tuple", "FilterSettings", "dataclass", "instance"):
+        assert foreign not in str(caught.value)
