@@ -3,13 +3,16 @@
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from msg_defs.errors import InputError
 from multi_robot_slam.cli.options import FirstSeed
 from multi_robot_slam.cli.terminal import console, countdown, counter, messages
+
+if TYPE_CHECKING:
+    from multi_robot_slam.studies import experiment_grid, experiment_table, exploration, table
 
 app = typer.Typer(
     help="Studies of the filter: the paper's experiments, accuracy, real robots, speed.",
@@ -24,56 +27,90 @@ def _figures(incomplete: str) -> list[str]:
     return [f for f in (*(f"fig{i}" for i in range(3, 10)), "all") if f.startswith(incomplete)]
 
 
+Experiment = Annotated[
+    str | None, typer.Argument(help="fig3, fig4, ... fig9, or all.", autocompletion=_figures)
+]
+Repeats = Annotated[
+    int | None, typer.Option(min=1, help="Runs of each point; default 20, with --quick 2.")
+]
+ParticleNumbers = Annotated[
+    str | None, typer.Option(help="Numbers of particles in figures 5 and 9: 1,50,500.")
+]
+Quick = Annotated[bool, typer.Option("--quick", help="Few repeats of few points.")]
+Processes = Annotated[
+    int | None, typer.Option(min=1, help="Processes on this machine; default: one per core.")
+]
+Scheduler = Annotated[
+    str | None, typer.Option(help="Run on the Dask cluster of this scheduler, tcp://...")
+]
+RowAgain = Annotated[str | None, typer.Option(help="Instead: compute this row of table.csv again.")]
+TableFolder = Annotated[
+    Path, typer.Option(help="Folder of the table; rows it has are not computed again.")
+]
+
+
 @app.command()
 def experiment(
-    name: Annotated[
-        str | None,
-        typer.Argument(help="fig3, fig4, ... fig9, or all.", autocompletion=_figures),
-    ] = None,
-    repeats: Annotated[
-        int | None, typer.Option(min=1, help="Runs of each point; default 20, with --quick 2.")
-    ] = None,
-    out: Annotated[
-        Path, typer.Option(help="Folder of the table; rows it has are not computed again.")
-    ] = Path("runs/experiments"),
-    particles: Annotated[
-        str | None, typer.Option(help="Numbers of particles in figures 5 and 9: 1,50,500.")
-    ] = None,
+    name: Experiment = None,
+    repeats: Repeats = None,
+    out: TableFolder = Path("runs/experiments"),
+    particles: ParticleNumbers = None,
     first_seed: FirstSeed = 0,
-    quick: Annotated[bool, typer.Option("--quick", help="Few repeats of few points.")] = False,
-    processes: Annotated[
-        int | None, typer.Option(min=1, help="Processes on this machine; default: one per core.")
-    ] = None,
-    scheduler: Annotated[
-        str | None, typer.Option(help="Run on the Dask cluster of this scheduler, tcp://...")
-    ] = None,
-    row: Annotated[
-        str | None, typer.Option(help="Instead: compute this row of table.csv again.")
-    ] = None,
+    quick: Quick = False,
+    processes: Processes = None,
+    scheduler: Scheduler = None,
+    row: RowAgain = None,
 ) -> None:
     """The paper's experiments: table.csv, a picture of each figure, and what it shows.
 
     Rows are written as they finish: an interrupted experiment goes on where it stopped.
     """
-    from multi_robot_slam.studies import experiment_grid, experiment_report, experiments, scheduling
+    from multi_robot_slam.studies import experiment_grid, experiments
 
-    base = experiment_grid.paper()
-    execute = (
-        partial(scheduling.on_cluster, scheduler=scheduler)
-        if scheduler
-        else partial(scheduling.local, processes=processes)
-    )
+    base, execute = experiment_grid.paper(), _execution(processes, scheduler)
     if row is not None:
         typer.echo(experiments.repeat(row, base, execute))
         return
     if name is None:
         raise InputError("name the experiment: fig3, fig4, ... fig9, or all")
-    grid = experiment_grid.QUICK if quick else experiment_grid.Grid()
+    grid, count = _grid(quick, particles)
+    seeds = range(first_seed, first_seed + (repeats or count))
+    wanted = experiment_grid.plan(experiment_grid.figures_of(name), grid, seeds, base)
+    _fill(name, wanted, base, out, execute)
+    console.print(f"Everything is in {out}", markup=False)
+
+
+def _execution(processes: int | None, scheduler: str | None) -> "table.Execute":
+    """On the cluster of the `scheduler` if one is given, else on this machine."""
+    from multi_robot_slam.studies import scheduling
+
+    if scheduler:
+        return partial(scheduling.on_cluster, scheduler=scheduler)
+    return partial(scheduling.local, processes=processes)
+
+
+def _grid(quick: bool, particles: str | None) -> "tuple[experiment_grid.Grid, int]":
+    """What the figures vary, and how often each point is repeated if nobody says."""
+    from multi_robot_slam.studies import experiment_grid
+
+    grid, count = experiment_grid.Grid(), experiment_grid.REPEATS
+    if quick:
+        grid, count = experiment_grid.QUICK, experiment_grid.QUICK_REPEATS
     if particles is not None:
         grid = replace(grid, particles=experiment_grid.particle_numbers(particles))
-    count = repeats or (experiment_grid.QUICK_REPEATS if quick else experiment_grid.REPEATS)
-    seeds = range(first_seed, first_seed + count)
-    wanted = experiment_grid.plan(experiment_grid.figures_of(name), grid, seeds, base)
+    return grid, count
+
+
+def _fill(
+    name: str,
+    wanted: "list[experiment_table.Key]",
+    base: "exploration.Base",
+    out: Path,
+    execute: "table.Execute",
+) -> None:
+    """Bring the table in `out` to hold the rows `wanted`, with a progress bar; then draw them."""
+    from multi_robot_slam.studies import experiment_report, experiments
+
     with countdown(LONG_S) as progress:
         task = progress.add_task(f"{name}, {len(wanted)} rows", total=None)
         rows = experiments.run(
@@ -84,7 +121,6 @@ def experiment(
             lambda done, total: progress.update(task, completed=done, total=total),
         )
     experiment_report.write(rows, base, out)
-    console.print(f"Everything is in {out}", markup=False)
 
 
 @app.command()
@@ -108,9 +144,7 @@ def accuracy(
         typer.Option(min=1, help="Fewest steps between two rejuvenations, if not the scenario's."),
     ] = None,
     first_seed: FirstSeed = 0,
-    out: Annotated[
-        Path, typer.Option(help="Folder of the table; rows it has are not computed again.")
-    ] = Path("runs/accuracy"),
+    out: TableFolder = Path("runs/accuracy"),
 ) -> None:
     """How close filter and refinement come to least squares with the true associations.
 
@@ -143,9 +177,7 @@ def real(
     seeds: Annotated[int, typer.Option(min=1, help="Runs of each set-up.")] = 10,
     particles: Annotated[int, typer.Option(min=1, help="Number of particles M.")] = 500,
     first_seed: FirstSeed = 0,
-    out: Annotated[
-        Path, typer.Option(help="Folder of the table; rows it has are not computed again.")
-    ] = Path("runs/real"),
+    out: TableFolder = Path("runs/real"),
 ) -> None:
     """How well the filter locates real robots: together, with and without sightings, and alone.
 
