@@ -11,9 +11,6 @@ DEFAULTS = {
 }
 """What the process runs under where the user has not said otherwise."""
 
-RANGES = ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT")
-"""What `ROS_AUTOMATIC_DISCOVERY_RANGE` may be."""
-
 LARGEST_DOMAIN_ID = 232
 """The ports of a larger one would lie beyond 65535."""
 
