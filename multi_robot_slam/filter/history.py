@@ -2,16 +2,18 @@
 
 All particles descend from few ancestors, so old steps need few rows. A step's record keeps one row
 per particle of that step that still has a descendant (Jacob, Murray, Rubenthaler: Path storage in
-the particle filter, 2015).
+the particle filter, 2015). After a rejuvenation every particle has a past of its own again; those
+records keep a row for each until the next one.
 """
 
 import hashlib
 from collections.abc import Iterator, Sequence
-from itertools import islice
+from copy import copy
 from typing import NamedTuple, overload
 
 import numpy as np
 
+from multi_robot_slam.filter.settled import Settled
 from multi_robot_slam.models.compiled import kernel
 from multi_robot_slam.models.frames import Record, RobotFrame
 from multi_robot_slam.smoothing.aliases import Aliases
@@ -21,42 +23,45 @@ PRUNE_EVERY = 32
 
 
 class Past(NamedTuple):
-    """A new past for the n particles `members`, with the same landmark for every observation.
-
-    It replaces the last P records; before those only the names of landmarks change.
-    """
+    """A new past for the n particles `members`, with the same landmark for every observation."""
 
     members: np.ndarray
     """(n,) int: index of each particle."""
     paths: np.ndarray
-    """(P, 3, n) float64: x, y [m], yaw [rad] in each of the P records."""
+    """(P, 3, n) float64: x, y [m], yaw [rad] in each record."""
     identities: list[np.ndarray]
-    """For each of the P records (B,) int32: id of the landmark of each observation."""
+    """For each record (B,) int32: id of the landmark of each observation."""
     aliases: Aliases
-    """What landmarks of the older records go by now."""
+    """What landmarks of settled frames go by now."""
     signature: np.uint64
     """Of this past, as `signature_of` gives it."""
-
-    def place(self, record: int, records: int) -> int:
-        """Where the history's `record`, of `records`, is in this past; below 0: before it."""
-        return record - records + len(self.identities)
 
 
 def signature_of(identities: Sequence[np.ndarray]) -> np.uint64:
     """A number that is equal where the identities, (B,) int32 each, are."""
-    digest = hashlib.blake2b(np.concatenate(identities).tobytes(), digest_size=8).digest()
+    joined = np.concatenate([np.empty(0, np.int32), *identities])
+    digest = hashlib.blake2b(joined.tobytes(), digest_size=8).digest()
     return np.uint64(np.frombuffer(digest, np.uint64)[0])
 
 
 class History:
-    """The frames of all steps so far, in order."""
+    """The frames of all steps so far, in order: those that settled, then one record for each.
 
-    def __init__(self, particles: int):
+    Parameters
+    ----------
+    particles : M.
+    keeps_frames : whether settled frames are kept whole (`Settled`).
+
+    """
+
+    def __init__(self, particles: int, keeps_frames: bool = True):
+        self.settled = Settled(keeps_frames)
         self.records: list[Record] = []
         self.signatures = np.zeros(particles, np.uint64)
         """(M,): equal where particles have the same landmark for every observation so far."""
         self._leaves = np.arange(particles, dtype=np.int32)
         self._pruned = 0
+        self._rejuvenated = 0
 
     def append(
         self,
@@ -92,49 +97,57 @@ class History:
         self._leaves = self._leaves[ancestors]
         self.signatures = self.signatures[ancestors]
 
-    def rewrite(self, pasts: Sequence[Past]) -> None:
-        """Give the members of each of `pasts`, at least one, a new past; others keep theirs."""
-        count = len(self.records)
-        first = count - max(len(past.identities) for past in pasts)
-        lineage = list(islice(self.lineage(slice(None)), count - first))[::-1]
-        before = self.records[first].parents[lineage[0][1]]
-        for i, (record, rows) in enumerate(lineage, first):
-            record.poses = record.poses[:, rows]
-            for past in pasts:
-                if past.place(i, count) >= 0:
-                    record.poses[:, past.members] = past.paths[past.place(i, count)]
-            record.matches = _rewritten(record.matches, rows, pasts, i, count)
-            record.parents = np.arange(len(rows), dtype=np.int32) if i > first else before
-        for past in pasts:
-            self.signatures[past.members] = past.signature
-        self._leaves = np.arange(len(self._leaves), dtype=np.int32)
-        self._rename([past for past in pasts if len(past.aliases)], first)
-        self._pruned = count
+    def copy(self) -> "History":
+        """The same, on which later steps of this one have no effect."""
+        result = copy(self)
+        result.records = [copy(record) for record in self.records]
+        result.signatures = self.signatures.copy()
+        return result
 
-    def _rename(self, pasts: Sequence[Past], first: int) -> None:
-        """Apply the aliases of each past to the records before `first`, in its members' rows.
+    def renewed(self, pasts: Sequence[Past], settle: int) -> "History":
+        """The history in which the members of each of `pasts`, at least one, have a new past.
 
-        A row that particles of several pasts descend from becomes one row for each.
+        Other particles keep theirs. The first `settle` records leave, with the optimum of the first
+        of the pasts, that of its first member.
         """
-        if not pasts or not first:
-            return
-        names = [Aliases(), *(past.aliases for past in pasts)]
-        labels = np.zeros(len(self._leaves), np.int64)
-        for label, past in enumerate(pasts, 1):
-            labels[past.members] = label
-        later = self.records[first]
-        for record in reversed(self.records[:first]):
-            keys = later.parents * np.int64(len(names)) + labels
-            keys, parents = np.unique(keys, return_inverse=True)
-            later.parents = parents.astype(np.int32)
-            rows, labels = np.divmod(keys, len(names))
-            record.poses = record.poses[:, rows]
-            record.matches = record.matches[:, rows]
-            for label in np.unique(labels):
-                own = labels == label
-                record.matches[:, own] = names[label].of(record.matches[:, own])
-            record.parents = record.parents[rows]
-            later = record
+        particles = len(self._leaves)
+        lineage = list(self.lineage(slice(None)))[::-1]
+        paths = self._paths(pasts, lineage)
+        result = History(particles)
+        result.settled = self.settled.also(
+            self.records[:settle],
+            pasts[0].paths[:settle, :, 0].copy(),
+            pasts[0].identities[:settle],
+            pasts[0].aliases,
+        )
+        everyone = np.arange(particles, dtype=np.int32)
+        result.records = [
+            record.with_rows(paths[p], _matches(record.matches, rows, pasts, p), everyone)
+            for p, (record, rows) in enumerate(lineage)
+            if p >= settle
+        ]
+        result.signatures = self.signatures.copy()
+        for past in pasts:
+            result.signatures[past.members] = past.signature
+        result._rejuvenated = result._pruned = len(result.records)
+        return result
+
+    def _paths(
+        self, pasts: Sequence[Past], lineage: Sequence[tuple[Record, np.ndarray]]
+    ) -> np.ndarray:
+        """(P, 3, M) of all particles."""
+        particles = len(self._leaves)
+        if len(pasts[0].members) == particles:
+            return pasts[0].paths
+        paths = np.empty((len(lineage), 3, particles))
+        members = np.concatenate([past.members for past in pasts])
+        others = np.setdiff1d(np.arange(particles), members)
+        for past in pasts:
+            paths[:, :, past.members] = past.paths
+        if len(others):
+            for p, (record, rows) in enumerate(lineage):
+                paths[p][:, others] = record.poses[:, rows[others]]
+        return paths
 
     @overload
     def lineage(self, particle: int) -> Iterator[tuple[Record, int]]: ...
@@ -143,48 +156,62 @@ class History:
     def lineage(
         self, particle: int | slice | np.ndarray
     ) -> Iterator[tuple[Record, int]] | Iterator[tuple[Record, np.ndarray]]:
-        """The past of `particle`, newest first: pairs of record and row; of several, their rows."""
+        """The past of `particle`, newest first: pairs of record and row; of several, their rows.
+
+        As far as it has not settled.
+        """
         row = self._leaves[particle]
         for record in reversed(self.records):
             yield record, row
             row = record.parents[row]
 
+    def whole_lineage(self, particle: int) -> list[tuple[Record, int]]:
+        """The past of `particle`, oldest first, with the settled frames if they are kept."""
+        settled = [(frame, 0) for frame in self.settled.frames]
+        return settled + list(self.lineage(particle))[::-1]
+
     def distinct_ancestors(self) -> np.ndarray:
-        """For each record, oldest first, from how many of its rows today's particles descend."""
+        """For each frame, oldest first, from how many of its rows today's particles descend.
+
+        Of a settled frame there is one.
+        """
         counts = np.zeros(len(self.records), int)
         rows = np.unique(self._leaves)
         for i in range(len(self.records) - 1, -1, -1):
             counts[i] = len(rows)
             rows = np.unique(self.records[i].parents[rows])
-        return counts
+        return np.concatenate([np.ones(len(self.settled), int), counts])
 
     def _prune(self) -> None:
-        """Drop rows without descendants, from the newest record back to where nothing changes."""
+        """Drop rows without descendants, from the newest record back to where nothing changes.
+
+        And not further back than the last rejuvenation, where every particle has its row.
+        """
         rows, self._leaves = _renumbered(self._leaves)
-        for i in range(len(self.records) - 1, -1, -1):
+        for i in range(len(self.records) - 1, self._rejuvenated - 1, -1):
             record = self.records[i]
             if len(rows) == len(record.parents) and i < self._pruned:
                 break
             record.poses = record.poses[:, rows]
             record.matches = record.matches[:, rows]
-            rows, record.parents = _renumbered(record.parents[rows])
+            parents = record.parents[rows]
+            if i == self._rejuvenated:
+                record.parents = parents
+            else:
+                rows, record.parents = _renumbered(parents)
         self._pruned = len(self.records)
 
 
-def _rewritten(
-    matches: np.ndarray, rows: np.ndarray, pasts: Sequence[Past], record: int, records: int
+def _matches(
+    matches: np.ndarray, rows: np.ndarray, pasts: Sequence[Past], place: int
 ) -> np.ndarray:
-    """(B, M) int32, one column in memory where all are equal."""
-    if len(pasts) == 1 and len(pasts[0].members) == len(rows):
-        own = pasts[0].identities[pasts[0].place(record, records)]
+    """(B, M) int32 of the record at `place`, one column in memory where all are equal."""
+    if len(pasts[0].members) == len(rows):
+        own = pasts[0].identities[place]
         return np.broadcast_to(own[:, None], (len(matches), len(rows)))
     matches = matches[:, rows]
     for past in pasts:
-        place = past.place(record, records)
-        if place >= 0:
-            matches[:, past.members] = past.identities[place][:, None]
-        else:
-            matches[:, past.members] = past.aliases.of(matches[:, past.members])
+        matches[:, past.members] = past.identities[place][:, None]
     return matches
 
 

@@ -1,9 +1,8 @@
 """New pasts for the particles of one association history: smoothed, drawn, and weighed.
 
-`rejuvenation` has the mathematics. The state is read, never changed.
+`rejuvenation` has the mathematics. The snapshot is read, never changed.
 """
 
-from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -12,10 +11,11 @@ from scipy.optimize import brentq
 from multi_robot_slam.filter import resampling
 from multi_robot_slam.filter.history import Past, Record, signature_of
 from multi_robot_slam.filter.settings import FilterSettings, threads
-from multi_robot_slam.filter.state import Fixed, State
-from multi_robot_slam.smoothing import draws, joining, marginals, solve
+from multi_robot_slam.filter.snapshot import Snapshot
+from multi_robot_slam.smoothing import draws, joining, solve
 from multi_robot_slam.smoothing.aliases import Aliases
 from multi_robot_slam.smoothing.odometry_scale import Scales, learn
+from multi_robot_slam.smoothing.prior import Prior, resting
 from multi_robot_slam.smoothing.problem import Problem, problem_of
 from multi_robot_slam.smoothing.solve import Smoothed, SmoothingError
 
@@ -27,26 +27,41 @@ The importance weights are exact around any centre.
 
 
 class Drawn(NamedTuple):
-    """What the particles of one association history go on from."""
+    """What the n particles of one association history go on from."""
 
     past: Past
-    problem: Problem
-    fixed: Fixed
-    """The part of the past that moves no more."""
-    scales: Scales
-    """Factors of the odometry."""
+    poses: np.ndarray
+    """(K, 3, n) float64: the last of each robot."""
+    ids: np.ndarray
+    """(N,) int64: landmarks, ascending."""
     planes: np.ndarray
-    """(N, 9, n): mean and covariance of each landmark, as in `Landmarks`."""
+    """(N, 9, n): mean and covariance of each, as in `Landmarks`."""
     log_weights: np.ndarray
     """(n,) float64: logarithm of the weights, tempered; their mean weight is 1."""
     effective_particles: float
     """Effective sample size of the importance weights before they were tempered, 1 .. n."""
     log_densities: np.ndarray
     """(n,) float64: logarithm of the posterior density over that of the optimum."""
+    prior: Prior
+    """The one the past begins with, joined landmarks under the id they go by."""
+    problem: Problem
+    smoothed: Smoothed
+    old_scales: Scales
+
+    @property
+    def unknowns(self) -> int:
+        """Of the problem that was smoothed."""
+        return self.smoothed.factor.size
+
+    def learn(self, settle: int) -> Scales:
+        """The odometry's factors, where the first `settle` records leave."""
+        count = len(self.past.identities)
+        motions = np.array([record.motion for record in self.problem.records])
+        return learn(self.old_scales, self.problem, self.smoothed, motions, settle / count)
 
 
 def draw(
-    state: State,
+    old: Snapshot,
     members: np.ndarray,
     alike: np.ndarray,
     settings: FilterSettings,
@@ -65,16 +80,18 @@ def draw(
         The history has no optimum, or a path drawn from around it is not finite.
 
     """
-    fixed = state.fixed[state.fixed_of[members[0]]]
-    records, poses, identities = _past(state, members, fixed.records)
-    problem, smoothed, aliases = _smooth(
-        state.scales.factors, fixed, records, poses, identities, alike, settings
-    )
+    lineage = list(old.history.lineage(members))[::-1]
+    records = [record for record, _ in lineage]
+    poses = np.array([record.poses[:, rows].mean(axis=1) for record, rows in lineage])
+    identities = [record.matches[:, rows[0]] for record, rows in lineage]
+    problem, smoothed, aliases = _smooth(old, records, poses, identities, alike, settings)
+    identities = [aliases.of(own) for own in identities]
+    prior = old.prior.renamed(aliases)
     normals = rng.standard_normal((smoothed.factor.size, len(members)), np.float32)
     normals[:, 0] = 0
-    paths, drawn_densities = draws.draw(problem, smoothed, normals)
+    paths, centres, drawn_densities = draws.draw(problem, smoothed, normals)
     planes, densities = draws.landmarks_and_log_density(
-        problem, paths, smoothed.weights, state.landmarks.planes.dtype, threads(settings)
+        problem, paths, centres, smoothed.weights, old.held.dtype, threads(settings)
     )
     exact = densities - drawn_densities
     if not (np.isfinite(exact).all() and np.isfinite(planes).all()):
@@ -82,19 +99,20 @@ def draw(
     log_weights = tempered(exact)
     log_weights -= log_weights.max()
     log_weights -= np.log(np.exp(log_weights).mean())
-    renamed = aliases.among(fixed.known.ids)
-    scales, fixed = _fix(state, fixed, problem, smoothed, settings.rejuvenation.window)
-    identities = [aliases.of(own) for own in identities]
-    signature = signature_of([*identities, fixed.known.ids.astype(np.int32)])
+    own = paths[len(problem.anchors) :]
+    ids, planes = _with_resting(problem, smoothed, prior, planes)
     return Drawn(
-        Past(members, paths, identities, renamed, signature),
-        problem,
-        fixed,
-        scales,
+        Past(members, own, identities, aliases, signature_of(identities)),
+        _last_poses(problem, paths),
+        ids,
         planes,
         log_weights,
         resampling.effective_sample_size(resampling.normalise(exact)),
         densities - densities[0],
+        prior,
+        problem,
+        smoothed,
+        old.scales,
     )
 
 
@@ -112,20 +130,8 @@ def tempered(log_weights: np.ndarray) -> np.ndarray:
     return log_weights * (1.0 if lacking(1.0) <= 0 else brentq(lacking, 0.0, 1.0, xtol=1e-6))
 
 
-def _past(
-    state: State, members: np.ndarray, fixed: int
-) -> tuple[list[Record], np.ndarray, list[np.ndarray]]:
-    """Records after the `fixed` ones, the mean of the members' paths (P, 3), their identities."""
-    count = len(state.history.records) - fixed
-    lineage = list(islice(state.history.lineage(members), count))[::-1]
-    records = [record for record, _ in lineage]
-    poses = np.array([record.poses[:, rows].mean(axis=1) for record, rows in lineage])
-    return records, poses, [record.matches[:, rows[0]] for record, rows in lineage]
-
-
 def _smooth(
-    factors: np.ndarray,
-    fixed: Fixed,
+    old: Snapshot,
     records: list[Record],
     poses: np.ndarray,
     identities: list[np.ndarray],
@@ -133,30 +139,53 @@ def _smooth(
     settings: FilterSettings,
 ) -> tuple[Problem, Smoothed, Aliases]:
     """Smooth, and join landmarks that turn out to be one."""
+    also = _nearby(old, records, identities, alike)
 
     def smoothed_with(aliases: Aliases, poses: np.ndarray) -> tuple[Problem, Smoothed]:
         problem = problem_of(
             records,
             [aliases.of(own) for own in identities],
-            fixed.start_poses,
+            old.prior.renamed(aliases),
             settings.motion,
-            fixed.known._replace(ids=aliases.of(fixed.known.ids)),
-            factors,
+            old.scales.factors,
+            also=aliases.of(also),
         )
         return problem, solve.smooth(problem, poses, settings.robust_above, NEAR_ENOUGH)
 
     return joining.smooth_and_join(smoothed_with, poses, alike, settings.gate, settings.exclusive)
 
 
-def _fix(
-    state: State, fixed: Fixed, problem: Problem, smoothed: Smoothed, window: int
-) -> tuple[Scales, Fixed]:
-    """The odometry's factors, and the past with the poses before the window fixed: whole steps."""
-    records = state.history.records
-    first = max(len(records) - window, fixed.records)
-    while fixed.records < first and records[first].step == records[first - 1].step:
-        first -= 1
-    count = first - fixed.records
-    motions = np.array([record.motion for record in records[fixed.records :]])
-    scales = learn(state.scales, problem, smoothed, motions, count / len(motions))
-    return scales, Fixed(first, *marginals.marginalise(problem, smoothed, count))
+def _nearby(
+    old: Snapshot, records: list[Record], identities: list[np.ndarray], alike: np.ndarray
+) -> np.ndarray:
+    """Ids of settled landmarks to draw with those the window saw.
+
+    What may be seen next: whatever was seen with what each robot saw last. And what looks like a
+    landmark that the window saw: it may be the same.
+    """
+    last = {record.robot: own for record, own in zip(records, identities, strict=True)}
+    next_to = old.covisible.near(np.concatenate([np.empty(0, np.int64), *last.values()]))
+    seen = np.unique(np.concatenate([np.empty(0, np.int64), *identities, next_to]))
+    pairs = alike[np.isin(alike, seen).any(axis=1)]
+    return np.union1d(next_to, pairs)
+
+
+def _last_poses(problem: Problem, paths: np.ndarray) -> np.ndarray:
+    """(K, 3, n): where each robot's path ends."""
+    last = {int(robot): p for p, robot in enumerate(problem.robots)}
+    return np.array([paths[last[robot]] for robot in range(len(last))])
+
+
+def _with_resting(
+    problem: Problem, smoothed: Smoothed, prior: Prior, planes: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Ids (N,) and planes (N, 9, n) of the problem's landmarks and of those that rest."""
+    ids, values = resting(prior, problem, smoothed)
+    if not len(ids):
+        return problem.ids, planes
+    order = np.argsort(np.concatenate([problem.ids, ids]))
+    together = np.empty((len(order), *planes.shape[1:]), planes.dtype)
+    places = np.argsort(order)
+    together[places[: len(problem.ids)]] = planes
+    together[places[len(problem.ids) :]] = values[:, :, None]
+    return np.concatenate([problem.ids, ids])[order], together

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from msg_defs.types import DESCRIPTOR_SIZE
-from multi_robot_slam.filter import rejuvenation, resampling
+from multi_robot_slam.filter import resampling
 from multi_robot_slam.filter.history import History
 from multi_robot_slam.filter.landmarks import Landmarks
 from multi_robot_slam.filter.matching import FrameInfo
@@ -21,6 +21,7 @@ from multi_robot_slam.filter.state import State, resample
 from multi_robot_slam.models.frames import RobotFrame
 from multi_robot_slam.models.parallel import one_thread
 from multi_robot_slam.smoothing.odometry_scale import Scales
+from multi_robot_slam.smoothing.prior import Prior
 
 __all__ = ["NotFiniteError", "State", "StepInfo", "best_particle", "init", "step", "warm_up"]
 
@@ -33,25 +34,34 @@ class StepInfo(NamedTuple):
     moments: tuple[tuple[np.ndarray, np.ndarray], ...]
     """For each frame the weighted mean (3,) and covariance (3, 3) of its robot's pose.
 
-    Before resampling, which would only add noise, but after rejuvenation.
+    Before resampling, which would only add noise.
     """
     ancestors: np.ndarray | None
     """(M,) int32: the particle before resampling that each continues; None: not resampled."""
-    rejuvenated: Rejuvenated | None
+    rejuvenated: Rejuvenated | None = None
+    """Of the rejuvenation that counts from this step on (`running`)."""
 
 
-def init(start_poses: np.ndarray, settings: FilterSettings, dtype: type = np.float32) -> State:
-    """All particles at `start_poses` (K, 3): x, y [m], yaw [rad] in `map`; an empty map."""
+def init(
+    start_poses: np.ndarray,
+    settings: FilterSettings,
+    dtype: type = np.float32,
+    keeps_frames: bool = True,
+) -> State:
+    """All particles at `start_poses` (K, 3): x, y [m], yaw [rad] in `map`; an empty map.
+
+    `keeps_frames`: whether frames that settle are kept whole.
+    """
     count = settings.particles
     start_poses = np.asarray(start_poses, float)
     return State(
-        start_poses=start_poses,
         poses=np.repeat(start_poses[:, :, None], count, axis=2),
         landmarks=Landmarks(count, dtype),
         log_weights=np.zeros(count),
         log_weight_sum=np.zeros(count),
-        history=History(count),
+        history=History(count, keeps_frames),
         scales=Scales.unknown(len(start_poses), settings.motion.scale_sigma),
+        prior=Prior.exact(start_poses),
     )
 
 
@@ -73,16 +83,12 @@ def step(
     state.steps += 1
     weights = resampling.normalise(state.log_weights)
     effective = resampling.effective_sample_size(weights)
-    around = _moments_of(state, frames, weights)
-    ancestors = rejuvenated = None
+    around = tuple(moments(state.poses[frame.robot], weights) for frame in frames)
+    ancestors = None
     if effective <= settings.resample_below * len(weights):
         ancestors = resampling.systematic(weights, rng.random())  # line 10
         resample(state, ancestors)
-    if rejuvenation.is_due(state, settings.rejuvenation):
-        rejuvenated = rejuvenation.rejuvenate(state, settings, rng)
-        ancestors = rejuvenated.ancestors if ancestors is None else ancestors[rejuvenated.ancestors]
-        around = _moments_of(state, frames, resampling.normalise(state.log_weights))
-    return StepInfo(tuple(infos), effective, around, ancestors, rejuvenated)
+    return StepInfo(tuple(infos), effective, around, ancestors)
 
 
 def _propose(
@@ -112,13 +118,6 @@ def best_particle(state: State) -> int:
     return int(np.argmax(state.log_weight_sum))
 
 
-def _moments_of(
-    state: State, frames: list[RobotFrame], weights: np.ndarray
-) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
-    """The `moments` of each frame's robot."""
-    return tuple(moments(state.poses[frame.robot], weights) for frame in frames)
-
-
 def moments(poses: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mean (3,) and covariance (3, 3) of `poses` (3, M) under normalised `weights` (M,)."""
     mean = poses @ weights
@@ -126,7 +125,7 @@ def moments(poses: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndar
     return mean, (weights * deviations) @ deviations.T
 
 
-def warm_up(settings: FilterSettings) -> None:
+def warm_up(settings: FilterSettings) -> State:
     """Compile every kernel or load it from the cache: steps of two robots that see two points."""
     rng = np.random.default_rng(0)
     state = init(np.zeros((2, 3)), settings)
@@ -139,5 +138,4 @@ def warm_up(settings: FilterSettings) -> None:
         own = (seen[0], seen[1] * precision, seen[2])
         frames = [RobotFrame(robot, 0, np.array([0.1, 0, 0.1]), *own) for robot in range(2)]
         step(state, frames, settings, rng)
-    if settings.rejuvenation.ancestors_below > 0:
-        rejuvenation.rejuvenate(state, settings, rng)
+    return state

@@ -23,10 +23,18 @@ class RejuvenationSettings:
         "rejuvenate when the particles descend from less than this share of those of the last "
         "time; 0 is never",
     ] = 0.25
-    rest: Annotated[int, Ge(1), "fewest steps between two rejuvenations"] = 1
-    window: Annotated[
-        int, Ge(1), "poses of all robots that are drawn anew; older ones stay as they are"
-    ] = 600
+    delay_s: Annotated[
+        float,
+        Ge(0),
+        "message time from the frame at which rejuvenation begins to the first one after which it "
+        "counts [s]; so long may it take beside the filter without a pause",
+    ] = 0.25
+    unknowns: Annotated[
+        int,
+        Ge(100),
+        "most unknowns of poses and landmarks that are smoothed together; beyond that the older "
+        "half of the poses is marginalised: the time of a rejuvenation grows with the cube",
+    ] = 1800
     share: Annotated[
         float,
         Interval(gt=0, le=1),

@@ -1,33 +1,20 @@
 """What the particle filter carries from step to step."""
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 
+from multi_robot_slam.filter.covisible import Covisible
 from multi_robot_slam.filter.history import History
 from multi_robot_slam.filter.landmarks import Landmarks
 from multi_robot_slam.smoothing.odometry_scale import Scales
-from multi_robot_slam.smoothing.problem import Known
-
-
-class Fixed(NamedTuple):
-    """The oldest part of a past, which rejuvenation no longer moves."""
-
-    records: int
-    """How many records of the history it has."""
-    start_poses: np.ndarray
-    """(K, 3) float64: x, y [m], yaw [rad] of each robot at its end, in `map`."""
-    known: Known
-    """What it says of landmarks."""
+from multi_robot_slam.smoothing.prior import Prior
 
 
 @dataclass
 class State:
     """What the next step needs; `rbpf.step` changes it in place."""
 
-    start_poses: np.ndarray
-    """(K, 3) float64: x, y [m], yaw [rad] in `map`."""
     poses: np.ndarray
     """(K, 3, M) float64: x, y [m], yaw [rad] in `map`."""
     landmarks: Landmarks
@@ -37,20 +24,23 @@ class State:
     """(M,) float64: sum over all steps of each particle's lineage (17)."""
     history: History
     scales: Scales
+    prior: Prior
+    """What the settled frames say: of where the robots were at their end, and of landmarks."""
+    covisible: Covisible = field(default_factory=Covisible.nothing)
+    """Of the settled frames."""
     steps: int = 0
     origins: np.ndarray = field(init=False)
     """(M,) int32: the particle right after the last rejuvenation that each descends from."""
     origin_step: int = 0
     """The step of the last rejuvenation."""
-    fixed: tuple[Fixed, ...] = field(init=False)
-    """One for each set of landmarks that the fixed parts of some particles' pasts hold."""
-    fixed_of: np.ndarray = field(init=False)
-    """(M,) int32: which of `fixed` each particle's past begins with."""
 
     def __post_init__(self) -> None:
-        self.fixed = (Fixed(0, self.start_poses, Known.nothing()),)
-        self.fixed_of = np.zeros(len(self.log_weights), np.int32)
+        self.begin_origins()
+
+    def begin_origins(self) -> None:
+        """Count descendants from now on."""
         self.origins = np.arange(len(self.log_weights), dtype=np.int32)
+        self.origin_step = self.steps
 
 
 def resample(state: State, ancestors: np.ndarray) -> None:
@@ -61,4 +51,3 @@ def resample(state: State, ancestors: np.ndarray) -> None:
     state.landmarks.resample(ancestors)
     state.history.resample(ancestors)
     state.origins = state.origins[ancestors]
-    state.fixed_of = state.fixed_of[ancestors]

@@ -1,6 +1,6 @@
 """What one robot did and saw at one instant, as the filter remembers it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -101,3 +101,7 @@ class Record:
     seconds: float = 0.0
     """How long the motion took [s]."""
     sightings: BodySightings = NOBODY
+
+    def with_rows(self, poses: np.ndarray, matches: np.ndarray, parents: np.ndarray) -> "Record":
+        """The same frame with other rows: `poses` (3, R), `matches` (B, R), `parents` (R,)."""
+        return replace(self, poses=poses, matches=matches, parents=parents)

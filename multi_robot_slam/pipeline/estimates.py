@@ -1,6 +1,6 @@
 """What the filter's state knows: the map, and every robot's path."""
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -25,31 +25,30 @@ def landmark_map(state: State, config: Config) -> LandmarkMap:
     if draws(config):
         values = landmarks.mixture(columns, resampling.normalise(state.log_weights))
     ids = landmarks.ids[columns]
-    observations = np.zeros(ids.max(initial=-1) + 1, np.uint32)
-    robots = np.zeros_like(observations)
-    for record, row in state.history.lineage(best):
-        np.add.at(observations, record.matches[:, row], 1)
-        np.bitwise_or.at(robots, record.matches[:, row], np.uint32(1 << record.robot))
+    lineage = list(state.history.lineage(best))
+    seen = state.history.settled.seen.also(
+        [record for record, _ in lineage], [record.matches[:, row] for record, row in lineage]
+    )
+    observations, robots = seen.of_ids(ids)
     return LandmarkMap(
         ids=ids.astype(np.uint32),
         positions=values[:, :3].astype(np.float32),
         covariances=values[:, 3:].astype(np.float32),
-        observations=observations[ids],
-        robots=robots[ids],
+        observations=observations.astype(np.uint32),
+        robots=robots.astype(np.uint32),
         descriptors=landmarks.descriptors[columns],
     )
 
 
 def lineage(state: State) -> list[tuple[Record, int]]:
     """The best particle's past, oldest first: its row in the record of each frame."""
-    best = rbpf.best_particle(state)
-    return list(state.history.lineage(best))[::-1]
+    return state.history.whole_lineage(rbpf.best_particle(state))
 
 
 def trajectories(state: State, config: Config) -> dict[str, Trajectory]:
     """The best particle's path of every robot that has moved or seen something."""
-    poses = ((record, record.poses[:, row]) for record, row in lineage(state))
-    return _by_robot(poses, config.robots)
+    lineage = state.history.lineage(rbpf.best_particle(state))
+    return _by_robot(state, [(record, record.poses[:, row]) for record, row in lineage], config)
 
 
 def mean_trajectories(state: State, config: Config) -> dict[str, Trajectory]:
@@ -59,7 +58,7 @@ def mean_trajectories(state: State, config: Config) -> dict[str, Trajectory]:
         (record, record.poses @ np.bincount(rows, weights, len(record.parents)))
         for record, rows in state.history.lineage(slice(None))
     ]
-    return _by_robot(reversed(means), config.robots)
+    return _by_robot(state, means, config)
 
 
 def wrapped(poses: np.ndarray) -> np.ndarray:
@@ -70,16 +69,16 @@ def wrapped(poses: np.ndarray) -> np.ndarray:
 
 
 def _by_robot(
-    path: Iterable[tuple[Record, np.ndarray]], robots: tuple[str, ...]
+    state: State, path: Sequence[tuple[Record, np.ndarray]], config: Config
 ) -> dict[str, Trajectory]:
-    """Trajectories from the pose (3,) in each record, oldest first."""
-    stamps: list[list[int]] = [[] for _ in robots]
-    poses: list[list[np.ndarray]] = [[] for _ in robots]
-    for record, pose in path:
-        stamps[record.robot].append(record.stamp_ns)
-        poses[record.robot].append(pose)
-    return {
-        robot: Trajectory(np.array(t, np.int64), wrapped(np.array(p)))
-        for robot, t, p in zip(robots, stamps, poses, strict=True)
-        if t
-    }
+    """Trajectories: settled poses, then the pose (3,) in each record, newest first."""
+    result = {}
+    for index, name in enumerate(config.robots):
+        stamps, poses = state.history.settled.path(index)
+        own = [(record.stamp_ns, pose) for record, pose in reversed(path) if record.robot == index]
+        if len(stamps) or own:
+            later = np.array([stamp for stamp, _ in own], np.int64)
+            recent = np.array([pose for _, pose in own]).reshape(-1, 3)
+            all_poses = wrapped(np.concatenate([poses, recent]))
+            result[name] = Trajectory(np.concatenate([stamps, later]), all_poses)
+    return result

@@ -15,19 +15,14 @@ import numpy as np
 from msg_defs.errors import InputError
 from msg_defs.types import Event, LandmarkMap, ObservationSet, StepRecord, Trajectory
 from multi_robot_slam.config import Config
-from multi_robot_slam.filter import rbpf
+from multi_robot_slam.filter import running
+from multi_robot_slam.filter.running import FAILURES, ParticleFilter
 from multi_robot_slam.models.frames import Record, RobotFrame
 from multi_robot_slam.pipeline import estimates, plausibility
 from multi_robot_slam.pipeline.plausibility import Refusal
 from multi_robot_slam.pipeline.records import step_record
 from multi_robot_slam.pipeline.reorder import Reorder
 from multi_robot_slam.pipeline.time_guard import TimeGuard
-
-FAILURES = (ArithmeticError, ValueError)
-"""What `rbpf.step` raises, with its state as before, where it cannot be done.
-
-`ValueError` includes NumPy's `LinAlgError`.
-"""
 
 FAILED_STEP = "failed step"
 FAR_AHEAD = Refusal("stamp far ahead", "synchronise the robots' clocks, or raise reorder_window_s")
@@ -40,22 +35,32 @@ class Pipeline:
     ----------
     config : the whole configuration.
     warn : called with one line for each event and message that is dropped.
+    keeps_frames : whether all frames are kept, to smooth the whole run at its end: 3 kB a frame.
 
     """
 
-    def __init__(self, config: Config, warn: Callable[[str], None] = lambda text: None):
+    def __init__(
+        self,
+        config: Config,
+        warn: Callable[[str], None] = lambda text: None,
+        keeps_frames: bool = True,
+    ):
         self.config = config
         self.dropped: Counter[str] = Counter()
         """How much was lost, by reason."""
         self._warn = warn
-        self._rng = np.random.default_rng(config.seed)
-        self._state = rbpf.init(np.array(config.start_poses), config.filter)
+        self._particles = ParticleFilter(
+            np.array(config.start_poses),
+            config.filter,
+            np.random.default_rng(config.seed),
+            keeps_frames,
+        )
         self._guard = TimeGuard(config.apart_ns, lambda event: self._drop(event, FAR_AHEAD))
         self._reorder = Reorder(config, self._drop)
 
     def warm_up(self) -> None:
         """Compile the filter's kernels, or load them from the cache."""
-        rbpf.warm_up(self.config.filter)
+        running.warm_up(self.config.filter)
 
     @property
     def pending(self) -> int:
@@ -89,27 +94,30 @@ class Pipeline:
 
     def landmark_map(self) -> LandmarkMap:
         """The best particle's map (17); where it draws, what all make of its landmarks."""
-        return estimates.landmark_map(self._state, self.config)
+        return estimates.landmark_map(self._particles.state, self.config)
 
     def lineage(self) -> list[tuple[Record, int]]:
-        """The best particle's past, oldest first: its row in the record of each frame."""
-        return estimates.lineage(self._state)
+        """The best particle's past, oldest first: its row in the record of each frame.
+
+        Without those that have settled, unless frames are kept.
+        """
+        return estimates.lineage(self._particles.state)
 
     def distinct_ancestors(self) -> np.ndarray:
         """For each frame so far, from how many of its particles today's particles descend."""
-        return self._state.history.distinct_ancestors()
+        return self._particles.state.history.distinct_ancestors()
 
     def trajectories(self) -> dict[str, Trajectory]:
         """The best particle's path of every robot that has moved or seen something."""
-        return estimates.trajectories(self._state, self.config)
+        return estimates.trajectories(self._particles.state, self.config)
 
     def mean_trajectories(self) -> dict[str, Trajectory]:
         """The weighted mean of all particles' whole paths, likewise."""
-        return estimates.mean_trajectories(self._state, self.config)
+        return estimates.mean_trajectories(self._particles.state, self.config)
 
     def particles(self, robot: str) -> np.ndarray:
         """(M, 3): the pose x, y [m], yaw [rad] of `robot` in every particle."""
-        return estimates.wrapped(self._state.poses[self.config.robots.index(robot)].T)
+        return estimates.wrapped(self._particles.state.poses[self.config.robots.index(robot)].T)
 
     def odometry_pose(self, robot: str) -> np.ndarray:
         """(3,): the odometry of `robot` at its last filtered frame, in its `odom` frame."""
@@ -133,7 +141,7 @@ class Pipeline:
         for frames in instants:
             start = time.perf_counter()
             try:
-                info = rbpf.step(self._state, frames, self.config.filter, self._rng)
+                info = self._particles.step(frames)
             except FAILURES as error:
                 self._tell_of_failure(frames, error)
                 continue
@@ -142,7 +150,7 @@ class Pipeline:
             for reason in info.rejuvenated.failures if info.rejuvenated else ():
                 self._tell_of_no_smoothing(frames[0].stamp_ns, reason)
             took_ms = (time.perf_counter() - start) * 1e3
-            steps.append(step_record(self.config, self._state, frames, info, took_ms))
+            steps.append(step_record(self.config, self._particles.state, frames, info, took_ms))
         return steps
 
     def _thinned(self, seen: ObservationSet) -> ObservationSet:

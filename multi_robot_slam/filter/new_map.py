@@ -1,0 +1,74 @@
+"""The map of rejuvenated particles, made as a whole."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from multi_robot_slam.filter import kernels
+from multi_robot_slam.filter.landmarks import Landmarks
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """All N landmarks of a map, and what some of its M particles hold."""
+
+    ids: np.ndarray
+    """(N,) int32, ascending."""
+    descriptors: np.ndarray
+    """(N, 128) float32."""
+    particles: int
+    """M."""
+    dtype: np.dtype
+    """Of planes."""
+    next_id: int
+    """Of the landmark that is created next."""
+    alone: np.ndarray
+    """(n,): the particles."""
+    planes: np.ndarray
+    """(N, 9, n): their means and covariances, as in `Landmarks`."""
+
+
+def held(landmarks: Landmarks, alone: np.ndarray, ancestors: np.ndarray) -> Held:
+    """A copy of what the particles `ancestors` (n,) hold; they will be the particles `alone`."""
+    columns = landmarks.alive()
+    columns = columns[np.argsort(landmarks.ids[columns])]
+    return Held(
+        landmarks.ids[columns],
+        landmarks.descriptors[columns],
+        landmarks.planes.shape[2],
+        landmarks.planes.dtype,
+        landmarks.next_id,
+        alone,
+        landmarks.planes_of(columns, ancestors),
+    )
+
+
+def of_groups(
+    old: Held, groups: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]
+) -> Landmarks:
+    """The map in which each group holds its new landmarks, and who is in none the old ones.
+
+    Parameters
+    ----------
+    groups : of each its particles (n,), ids (N',) of landmarks, ascending, and planes (N', 9, n).
+
+    """
+    ids = np.unique(np.concatenate([own for _, own, _ in groups])).astype(np.int32)
+    members = np.concatenate([members for members, _, _ in groups])
+    keeps = ~np.isin(old.alone, members)
+    others = old.planes[:, :, keeps]
+    is_held = (others[:, 0] < kernels.FAR / 2).any(axis=1)
+    ids = np.union1d(ids, old.ids[is_held])
+    if len(groups) == 1 and len(members) == old.particles and len(groups[0][1]) == len(ids):
+        planes = np.ascontiguousarray(groups[0][2])
+    else:
+        planes = np.empty((len(ids), kernels.PLANES, old.particles), old.dtype)
+        planes[:] = kernels.NO_LANDMARK[:, None]
+        for particles, own, values in groups:
+            rows = np.searchsorted(ids, own)
+            planes[np.ix_(rows, np.arange(kernels.PLANES), particles)] = values
+        rows = np.searchsorted(ids, old.ids[is_held])
+        planes[np.ix_(rows, np.arange(kernels.PLANES), old.alone[keeps])] = others[is_held]
+    descriptors = old.descriptors[np.searchsorted(old.ids, ids)]
+    return Landmarks.holding(ids, planes, descriptors, old.next_id)

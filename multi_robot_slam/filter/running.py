@@ -1,0 +1,124 @@
+"""The filter as it runs: Algorithm 1 step by step, and rejuvenation beside it.
+
+A rejuvenation takes a snapshot of the state after a step. While it is worked on, the filter goes on
+from the old state, for as long as `delay_s` of message time; then the filter takes the new state,
+repeats in it the steps that were done meanwhile, and goes on from there. So whatever it does is as
+if every rejuvenation had been done at once, and depends on stamps alone: not on how fast the worker
+is, nor on whether there is one.
+"""
+
+import os
+from concurrent.futures import Future, ThreadPoolExecutor
+from copy import deepcopy
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from multi_robot_slam.filter import rbpf, rejuvenation, snapshot
+from multi_robot_slam.filter.rbpf import StepInfo
+from multi_robot_slam.filter.rejuvenation import Rejuvenated
+from multi_robot_slam.filter.settings import FilterSettings
+from multi_robot_slam.filter.snapshot import Snapshot
+from multi_robot_slam.filter.state import State
+from multi_robot_slam.models.frames import RobotFrame
+
+Result = tuple[State | None, Rejuvenated]
+
+FAILURES = (ArithmeticError, ValueError)
+"""What `rbpf.step` raises where it cannot be done, with its state as before.
+
+`ValueError` includes NumPy's `LinAlgError`.
+"""
+
+
+@dataclass
+class _Begun:
+    """A rejuvenation that does not count yet."""
+
+    stamp_ns: int
+    result: Future[Result]
+    rng: np.random.Generator
+    """As it was after the step at which it began."""
+    steps: list[list[RobotFrame]] = field(default_factory=list)
+    """The frames of each step since."""
+
+
+class ParticleFilter:
+    """The particles of a team, stepped and rejuvenated.
+
+    Parameters
+    ----------
+    start_poses : (K, 3): x, y [m], yaw [rad] in `map`.
+    keeps_frames : whether frames that settle are kept whole, to smooth a whole run at its end.
+
+    """
+
+    def __init__(
+        self,
+        start_poses: np.ndarray,
+        settings: FilterSettings,
+        rng: np.random.Generator,
+        keeps_frames: bool = True,
+    ) -> None:
+        self.state = rbpf.init(start_poses, settings, keeps_frames=keeps_frames)
+        self._settings = settings
+        self._rng = rng
+        self._begun: _Begun | None = None
+        self._worker = _worker(settings)
+
+    def step(self, frames: list[RobotFrame]) -> StepInfo:
+        """One step over the frames of one instant; raises as `rbpf.step` does."""
+        info = rbpf.step(self.state, frames, self._settings, self._rng)
+        now_ns = frames[0].stamp_ns
+        if self._begun is not None:
+            self._begun.steps.append(frames)
+            if now_ns - self._begun.stamp_ns >= self._settings.rejuvenation.delay_s * 1e9:
+                info = self._take_over(self._begun, info)
+                self._begun = None
+        if self._begun is None and rejuvenation.is_due(self.state, self._settings.rejuvenation):
+            self._begin(now_ns)
+        return info
+
+    def _begin(self, stamp_ns: int) -> None:
+        own = self._rng.spawn(1)[0]
+        old = snapshot.taken(self.state, self._settings, own)
+        result = self._submit(old, own)
+        self._begun = _Begun(stamp_ns, result, deepcopy(self._rng))
+
+    def _submit(self, old: Snapshot, rng: np.random.Generator) -> Future[Result]:
+        if self._worker is not None:
+            return self._worker.submit(rejuvenation.rejuvenate, old, self._settings, rng)
+        done: Future[Result] = Future()
+        done.set_result(rejuvenation.rejuvenate(old, self._settings, rng))
+        return done
+
+    def _take_over(self, begun: _Begun, info: StepInfo) -> StepInfo:
+        """Go on from the new state; what the last step is there."""
+        state, rejuvenated = begun.result.result()
+        if state is not None:
+            try:
+                for frames in begun.steps:
+                    info = rbpf.step(state, frames, self._settings, begun.rng)
+            except FAILURES as error:
+                told = f"a step cannot be repeated ({error})"
+                rejuvenated = rejuvenated._replace(failures=(*rejuvenated.failures, told))
+            else:
+                self.state, self._rng = state, begun.rng
+                return info._replace(rejuvenated=rejuvenated)
+        self.state.begin_origins()
+        return info._replace(rejuvenated=rejuvenated._replace(groups=0))
+
+
+def _worker(settings: FilterSettings) -> ThreadPoolExecutor | None:
+    """A thread for rejuvenation where there is a core for it."""
+    if settings.threads == 1 or len(os.sched_getaffinity(0)) < 2:
+        return None
+    return ThreadPoolExecutor(1, thread_name_prefix="rejuvenation")
+
+
+def warm_up(settings: FilterSettings) -> None:
+    """Compile every kernel or load it from the cache."""
+    state = rbpf.warm_up(settings)
+    if settings.rejuvenation.ancestors_below > 0:
+        rng = np.random.default_rng(0)
+        rejuvenation.rejuvenate(snapshot.taken(state, settings, rng), settings, rng)

@@ -1,0 +1,63 @@
+"""The state at one step, for a rejuvenation that is done while the filter goes on."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from multi_robot_slam.filter import new_map, resampling
+from multi_robot_slam.filter.covisible import Covisible
+from multi_robot_slam.filter.history import History
+from multi_robot_slam.filter.new_map import Held
+from multi_robot_slam.filter.settings import FilterSettings
+from multi_robot_slam.filter.state import State
+from multi_robot_slam.smoothing.odometry_scale import Scales
+from multi_robot_slam.smoothing.prior import Prior
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """The state at one step, resampled, on which later steps have no effect."""
+
+    steps: int
+    poses: np.ndarray
+    """(K, 3, M)."""
+    log_weight_sum: np.ndarray
+    """(M,)."""
+    history: History
+    scales: Scales
+    prior: Prior
+    covisible: Covisible
+    groups: tuple[np.ndarray, ...]
+    """Particles (n,) of each association history, the largest group first."""
+    held: Held
+    """The landmarks, as the particles hold them whose history too few share."""
+
+
+def taken(state: State, settings: FilterSettings, rng: np.random.Generator) -> Snapshot:
+    """What a rejuvenation of the particles, resampled now, has to know."""
+    weights = resampling.normalise(state.log_weights)
+    ancestors = resampling.systematic(weights, rng.random())
+    history = state.history.copy()
+    history.resample(ancestors)
+    groups = _groups(history.signatures)
+    least = settings.rejuvenation.share * len(weights)
+    few = [group for group in groups if len(group) < least]
+    alone = np.sort(np.concatenate([np.empty(0, int), *few]))
+    return Snapshot(
+        state.steps,
+        np.take(state.poses, ancestors, axis=2),
+        state.log_weight_sum[ancestors],
+        history,
+        state.scales,
+        state.prior,
+        state.covisible,
+        tuple(groups),
+        new_map.held(state.landmarks, alone, ancestors[alone]),
+    )
+
+
+def _groups(signatures: np.ndarray) -> list[np.ndarray]:
+    """The particles of each association history, the largest group first."""
+    unique, places = np.unique(signatures, return_inverse=True)
+    groups = [np.flatnonzero(places == g) for g in range(len(unique))]
+    return sorted(groups, key=len, reverse=True)
