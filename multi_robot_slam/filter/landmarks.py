@@ -132,6 +132,11 @@ class Landmarks:
         if self._current in used:
             self._open_generation(used)
 
+    @property
+    def next_id(self) -> int:
+        """Of the landmark that is created next."""
+        return self._next_id
+
     def alive(self) -> np.ndarray:
         """Columns that hold a landmark in at least one particle, ascending."""
         return np.flatnonzero(self.ids[: self.top] != FREE)
@@ -142,20 +147,10 @@ class Landmarks:
         order = np.argsort(self.ids[columns])
         return columns[order[np.searchsorted(self.ids[columns], ids, sorter=order)]]
 
-    def rewrite(
-        self, members: np.ndarray, ids: np.ndarray, planes: np.ndarray, threads: int = 1
-    ) -> None:
-        """The particles `members` (n,) hold just the landmarks `ids` (N,), as `planes` (N, 9, n).
-
-        All columns are up to date then; their boxes are not.
-        """
-        alive = self.alive()
-        self.bring_up_to_date(alive, threads)
-        held = self.columns_of(ids)
-        gone = np.setdiff1d(alive, held, assume_unique=True)
-        self.planes[np.ix_(gone, np.arange(kernels.PLANES), members)] = kernels.NO_LANDMARK[:, None]
-        self.planes[np.ix_(held, np.arange(kernels.PLANES), members)] = planes
-        self._release_unowned(alive)
+    def planes_of(self, columns: np.ndarray, particles: np.ndarray) -> np.ndarray:
+        """(N, 9, n): a copy of what the particles (n,) hold in `columns` (N,)."""
+        rows = self._rows[self._generations[columns]][:, particles]
+        return self.planes[columns[:, None], :, rows].transpose(0, 2, 1)
 
     def of_particle(self, particle: int) -> tuple[np.ndarray, np.ndarray]:
         """Columns (N,) that `particle` has and their planes (N, 9), in order of creation."""

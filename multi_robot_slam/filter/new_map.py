@@ -7,6 +7,7 @@ import numpy as np
 
 from multi_robot_slam.filter import kernels
 from multi_robot_slam.filter.landmarks import Landmarks
+from multi_robot_slam.filter.reserved import reserved
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,15 +61,12 @@ def of_groups(
     others = old.planes[:, :, keeps]
     is_held = (others[:, 0] < kernels.FAR / 2).any(axis=1)
     ids = np.union1d(ids, old.ids[is_held])
-    if len(groups) == 1 and len(members) == old.particles and len(groups[0][1]) == len(ids):
-        planes = np.ascontiguousarray(groups[0][2])
-    else:
-        planes = np.empty((len(ids), kernels.PLANES, old.particles), old.dtype)
-        planes[:] = kernels.NO_LANDMARK[:, None]
-        for particles, own, values in groups:
-            rows = np.searchsorted(ids, own)
-            planes[np.ix_(rows, np.arange(kernels.PLANES), particles)] = values
-        rows = np.searchsorted(ids, old.ids[is_held])
-        planes[np.ix_(rows, np.arange(kernels.PLANES), old.alone[keeps])] = others[is_held]
+    planes = reserved((len(ids), kernels.PLANES, old.particles), old.dtype)
+    planes[:] = kernels.NO_LANDMARK[:, None]
+    for particles, own, values in groups:
+        rows = np.searchsorted(ids, own)
+        planes[np.ix_(rows, np.arange(kernels.PLANES), particles)] = values
+    rows = np.searchsorted(ids, old.ids[is_held])
+    planes[np.ix_(rows, np.arange(kernels.PLANES), old.alone[keeps])] = others[is_held]
     descriptors = old.descriptors[np.searchsorted(old.ids, ids)]
     return Landmarks.holding(ids, planes, descriptors, old.next_id)

@@ -86,7 +86,7 @@ def draw(
     identities = [record.matches[:, rows[0]] for record, rows in lineage]
     problem, smoothed, aliases = _smooth(old, records, poses, identities, alike, settings)
     identities = [aliases.of(own) for own in identities]
-    prior = old.prior.renamed(aliases)
+    prior = old.prior.renamed(aliases.of(old.prior.ids))
     normals = rng.standard_normal((smoothed.factor.size, len(members)), np.float32)
     normals[:, 0] = 0
     paths, centres, drawn_densities = draws.draw(problem, smoothed, normals)
@@ -145,7 +145,7 @@ def _smooth(
         problem = problem_of(
             records,
             [aliases.of(own) for own in identities],
-            old.prior.renamed(aliases),
+            old.prior.renamed(aliases.of(old.prior.ids)),
             settings.motion,
             old.scales.factors,
             also=aliases.of(also),

@@ -1,0 +1,28 @@
+"""Landmarks seen together."""
+
+import numpy as np
+import pytest
+
+from multi_robot_slam.filter.covisible import Covisible
+from multi_robot_slam.smoothing.aliases import Aliases
+
+FRAMES = [np.array(own, np.int32) for own in ([4, 2], [2, 9], [7], [], [9, 1, 2])]
+
+
+@pytest.mark.parametrize("parts", [[5], [2, 3], [1, 1, 1, 1, 1]])
+def test_near_is_what_some_frame_saw_with_it(parts):
+    found, first = Covisible.nothing(), 0
+    for count in parts:
+        found = found.also(FRAMES[first : first + count], Aliases())
+        first += count
+    for ids in ([4], [2], [9, 7], [7], [5], []):
+        together = [set(own.tolist()) for own in FRAMES if set(own.tolist()) & set(ids)]
+        assert set(found.near(np.array(ids, int)).tolist()) == set().union(*together)
+
+
+def test_joined_landmarks_are_near_what_either_was():
+    found = Covisible.nothing().also(FRAMES, Aliases())
+    found = found.also([], Aliases().joined(np.array([[4, 7], [1, 9]])))
+    np.testing.assert_array_equal(found.ids, [1, 2, 4])
+    np.testing.assert_array_equal(found.near(np.array([4])), [2, 4])
+    np.testing.assert_array_equal(found.near(np.array([1])), [1, 2])
