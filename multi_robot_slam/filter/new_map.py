@@ -45,9 +45,7 @@ def held(landmarks: Landmarks, alone: np.ndarray, ancestors: np.ndarray) -> Held
     )
 
 
-def of_groups(
-    old: Held, groups: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]
-) -> Landmarks:
+def of_groups(old: Held, groups: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> Landmarks:
     """The map in which each group holds its new landmarks, and who is in none the old ones.
 
     Parameters

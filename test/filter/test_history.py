@@ -41,10 +41,6 @@ def past_of(members, poses, identities, aliases=Aliases()):  # noqa: B008
     return Past(np.array(members), poses, identities, aliases, signature_of(identities))
 
 
-def aliases(**pairs):
-    return Aliases().joined(np.array([[new, int(old[1:])] for old, new in pairs.items()]))
-
-
 @pytest.mark.parametrize("steps", [1, 31, 33, 100])
 def test_every_particle_has_its_past(steps):
     found, pasts = grown(steps)
@@ -58,50 +54,59 @@ def test_rows_without_descendants_are_dropped():
     assert sum(len(record.parents) for record in found.records) < 200 + 6 * history.PRUNE_EVERY * 2
 
 
-def test_new_pasts_replace_the_last_records_of_their_members():
+def whole(members, seed, records, aliases=Aliases()):  # noqa: B008
+    rng = np.random.default_rng(seed)
+    identities = rng.integers(0, 20, (records, 2)).tolist()
+    return past_of(members, rng.normal(size=(records, 3, len(members))), identities, aliases)
+
+
+@pytest.mark.parametrize("members", [[1, 4], [0, 1, 2, 3, 4, 5]])
+def test_new_pasts_replace_those_of_their_members(members):
     found, pasts = grown(40)
-    path = np.random.default_rng(1).normal(size=(3, 3, 2))
-    before = found.signatures.copy()
-    past = past_of([1, 4], path, [[1, 2], [3, 4], [5, 6]])
-    found.rewrite([past])
+    past = whole(members, 1, 40)
+    renewed = found.renewed([past], settle=0)
     for m, kept in enumerate(pasts):
-        if m in (1, 4):
-            own = [1, 4].index(m)
-            kept[-3:] = [(path[p, :, own].tolist(), past.identities[p].tolist()) for p in range(3)]
         assert remembered(found, m) == kept
-        assert (found.signatures[m] == before[m]) == (m not in (1, 4))
-    assert found.signatures[1] == found.signatures[4]
+        if m in members:
+            own = past.paths[:, :, members.index(m)]
+            ids = [identities.tolist() for identities in past.identities]
+            kept = list(zip(own.tolist(), ids, strict=True))
+        assert remembered(renewed, m) == kept
+        assert (renewed.signatures[m] == found.signatures[m]) == (m not in members)
 
 
-def test_older_records_go_by_the_aliases_of_each_past():
-    """Particles that share old rows, with aliases of their own, with others and with none."""
+def test_what_settles_is_the_optimum_of_the_first_past():
     found, pasts = grown(40)
-    path, own = np.zeros((2, 3, 2)), [[1, 2], [3, 4]]
-    first, second = aliases(_7=3, _9=1), aliases(_7=5)
-    found.rewrite([past_of([0, 1], path, own, first), past_of([3, 5], path, own, second)])
-    for m, kept in enumerate(pasts):
-        names = {0: {7: 3, 9: 1}, 1: {7: 3, 9: 1}, 3: {7: 5}, 5: {7: 5}}.get(m, {})
-        expected = [(pose, [names.get(n, n) for n in ids]) for pose, ids in kept]
-        if names:
-            expected[-2:] = [([0, 0, 0], ids) for ids in own]
-        assert remembered(found, m) == expected
-    # One row of the oldest record for each set of aliases.
-    assert len(found.records[0].parents) == 3
+    first, second = whole([2, 3], 1, 40), whole([0], 2, 40)
+    renewed = found.renewed([first, second], settle=30)
+    stamps, poses = renewed.settled.path(0)
+    np.testing.assert_array_equal(stamps, np.arange(30))
+    np.testing.assert_array_equal(poses, first.paths[:30, :, 0])
+    assert [frame.matches[:, 0].tolist() for frame in renewed.settled.frames] == [
+        own.tolist() for own in first.identities[:30]
+    ]
+    assert remembered(renewed, 5) == pasts[5][30:]
+    assert [stamp for stamp, _ in stamps_of(renewed.whole_lineage(5))] == list(range(40))
+    assert renewed.distinct_ancestors().tolist()[:30] == [1] * 30
 
 
-def test_a_shorter_past_keeps_what_is_before_it_under_its_aliases():
-    found, pasts = grown(10)
-    long = past_of([0], np.zeros((6, 3, 1)), [[1, 2]] * 6)
-    short = past_of([2], np.ones((1, 3, 1)), [[8, 8]], aliases(_4=0))
-    found.rewrite([long, short])
-    expected = [(pose, [0 if n == 4 else n for n in ids]) for pose, ids in pasts[2][:-1]]
-    assert remembered(found, 2) == [*expected, ([1, 1, 1], [8, 8])]
-    assert remembered(found, 0) == [*pasts[0][:4], *[([0, 0, 0], [1, 2])] * 6]
+def stamps_of(lineage):
+    return [(record.stamp_ns, row) for record, row in lineage]
+
+
+def test_later_steps_have_no_effect_on_a_copy():
+    found, pasts = grown(40)
+    copied = found.copy()
+    for _ in range(2 * history.PRUNE_EVERY):
+        found.append(FRAME, 50, np.zeros((3, 6)), np.zeros((2, 6), np.int32), np.zeros(2, np.int32))
+        found.resample(np.zeros(6, np.int32))
+    for m, past in enumerate(pasts):
+        assert remembered(copied, m) == past
 
 
 def test_the_tree_goes_on_after_a_new_past():
     found, _ = grown(40)
-    found.rewrite([past_of(range(6), np.zeros((5, 3, 6)), [[1, 2]] * 5, aliases(_3=2))])
+    found = found.renewed([whole(list(range(6)), 1, 40)], settle=0)
     before = [remembered(found, m) for m in range(6)]
     ancestors = np.array([0, 0, 2, 2, 2, 5], np.int32)
     for _ in range(2 * history.PRUNE_EVERY):

@@ -11,24 +11,25 @@ import pytest
 import worlds
 
 from msg_defs.types import ObservationSet
-from multi_robot_slam.filter import rbpf, rejuvenation, resampling
+from multi_robot_slam.filter import rbpf, rejuvenation, resampling, snapshot
 from multi_robot_slam.filter.landmarks import Landmarks
 from multi_robot_slam.filter.new_past import tempered
+from multi_robot_slam.filter.running import ParticleFilter
 from multi_robot_slam.filter.settings import NO_REJUVENATION, FilterSettings, RejuvenationSettings
-from multi_robot_slam.filter.state import resample
 from multi_robot_slam.models import stereo
 from multi_robot_slam.models.motion import MotionSettings
 from multi_robot_slam.models.symmetric import pack, unpack
-from multi_robot_slam.smoothing import draws, marginals, solve
+from multi_robot_slam.smoothing import draws, solve
 from multi_robot_slam.smoothing.solve import SmoothingError
 
-ALWAYS = RejuvenationSettings(ancestors_below=1.0)
+ALWAYS = RejuvenationSettings(ancestors_below=1.0, delay_s=0)
 
 
 def run(steps, settings, seed=0, dtype=np.float64):
-    state = rbpf.init(worlds.START, settings, dtype)
     rng = np.random.default_rng(seed)
-    return state, [rbpf.step(state, frames, settings, rng) for frames in steps]
+    particles = ParticleFilter(worlds.START, settings, rng, dtype=dtype)
+    infos = [particles.step(frames) for frames in steps]
+    return particles.state, infos
 
 
 def often(particles, gate, exclusive=True, **changes):
@@ -39,7 +40,7 @@ def often(particles, gate, exclusive=True, **changes):
         gate=gate,
         exclusive=exclusive,
         resample_below=0.5,
-        rejuvenation=RejuvenationSettings(ancestors_below=0.5, share=0.1, **changes),
+        rejuvenation=RejuvenationSettings(ancestors_below=0.5, share=0.1, delay_s=0, **changes),
     )
 
 
@@ -60,29 +61,15 @@ def assert_maps_are_the_lineages(state):
     for m in range(len(state.log_weights)):
         held = state.landmarks.ids[state.landmarks.of_particle(m)[0]]
         named = [record.matches[:, row] for record, row in state.history.lineage(m)]
-        np.testing.assert_array_equal(np.sort(held), np.unique(np.concatenate(named)))
-
-
-def assert_same_state(state, other):
-    for m in range(len(state.log_weights)):
-        (columns, planes), (others, same) = (s.landmarks.of_particle(m) for s in (state, other))
-        np.testing.assert_array_equal(columns, others)
-        np.testing.assert_array_equal(planes, same)
-        lineages = (s.history.lineage(m) for s in (state, other))
-        for (record, row), (twin, same_row) in zip(*lineages, strict=True):
-            np.testing.assert_array_equal(record.poses[:, row], twin.poses[:, same_row])
-            np.testing.assert_array_equal(record.matches[:, row], twin.matches[:, same_row])
-    for name in ("poses", "log_weights", "log_weight_sum", "fixed_of"):
-        np.testing.assert_array_equal(getattr(state, name), getattr(other, name))
-    np.testing.assert_array_equal(state.history.signatures, other.history.signatures)
-    assert [id(fixed) for fixed in state.fixed] == [id(fixed) for fixed in other.fixed]
-    assert state.scales is other.scales
+        named = np.concatenate([state.prior.ids, *named])
+        np.testing.assert_array_equal(np.sort(held), np.unique(named))
 
 
 def rejuvenated(state, settings, seed=1):
-    """Rejuvenate now, whether due or not."""
+    """The state rejuvenated now, whether due or not, and what was done."""
     rng = np.random.default_rng(seed)
-    return rejuvenation.rejuvenate(state, replace(settings, threads=1), rng)
+    settings = replace(settings, threads=1)
+    return rejuvenation.rejuvenate(snapshot.taken(state, settings, rng), settings, rng)
 
 
 def exact_smoother(moves, seen):
@@ -136,7 +123,7 @@ def test_in_a_linear_world_the_particles_are_the_exact_smoother_s(proposal):
         camera = np.stack([-seen[t, :, 1], seen[t, :, 2], seen[t, :, 0]], axis=1)
         z = ObservationSet("", t, camera, R, descriptors)
         rbpf.step(state, [linear.frame(t, moves[t], z)], settings, rng)
-    info = rejuvenation.rejuvenate(state, settings, rng)
+    state, info = rejuvenation.rejuvenate(snapshot.taken(state, settings, rng), settings, rng)
     assert info.alone == 0
     assert info.effective_particles > 0.95 * count
 
@@ -161,7 +148,7 @@ def test_in_a_linear_world_the_particles_are_the_exact_smoother_s(proposal):
 def test_landmark_filters_are_those_of_filtering_along_the_drawn_path():
     settings = worlds.settings(particles=5, proposal="informed", gate=1e3, robust_above=1e6)
     state, _ = run(worlds.drive(4, steps=12), settings)
-    rejuvenated(state, settings)
+    state, _ = rejuvenated(state, settings)
     # The literal filter looks from a camera: here from one that sits in `base_link`.
     axes = stereo.CAMERA_TO_BODY
     model = literal.Model(settings.gate, settings.descriptor_gate, (0, 0, 0), (0, 0, 0, 0))
@@ -252,7 +239,7 @@ def test_particles_with_another_history_keep_it():
     state.history.signatures[20:] = np.arange(10)
     before = state.poses.copy()
     settings = replace(settings, rejuvenation=replace(ALWAYS, share=0.5))
-    info = rejuvenated(state, settings)
+    state, info = rejuvenated(state, settings)
     assert (info.groups, info.alone) == (1, 10)
     assert (state.poses[:, :, 20:] == before[:, :, 20:]).all()
     assert (state.poses[:, :, :20] != before[:, :, :20]).any(axis=(0, 1)).all()
@@ -280,40 +267,27 @@ def test_landmarks_a_particle_had_split_are_joined():
     whole = len(state.landmarks.of_particle(0)[0])
     split(state, reversed(state.history.records))
     assert len(state.landmarks.of_particle(0)[0]) == whole + 1
-    rejuvenated(state, settings)
+    state, _ = rejuvenated(state, settings)
     assert len(state.landmarks.of_particle(0)[0]) == whole
     assert_maps_are_the_lineages(state)
 
 
-def test_landmarks_split_before_the_window_are_joined_there():
-    """The first rejuvenation cannot join, since nothing looks alike, and fixes what was split."""
+def test_settled_landmarks_that_were_split_are_joined():
+    """The first rejuvenation cannot join, since nothing looks alike, and settles what was split."""
     settings = worlds.settings(particles=10, proposal="informed", gate=1e3)
-    state, _ = run(worlds.drive(5, steps=20), settings)
-    settings = replace(settings, rejuvenation=replace(ALWAYS, window=6))
+    state, _ = run(worlds.drive(5, steps=40), settings)
+    settings = replace(settings, rejuvenation=replace(ALWAYS, unknowns=100))
     whole = len(state.landmarks.of_particle(0)[0])
     split(state, state.history.records)
-    rejuvenated(state, replace(settings, descriptor_gate=1e-6))
+    state, _ = rejuvenated(state, replace(settings, descriptor_gate=1e-6))
     assert len(state.landmarks.of_particle(0)[0]) == whole + 1
-    assert state.fixed[0].records == 54
+    assert len(state.history.settled) == 60
     assert_maps_are_the_lineages(state)
-    rejuvenated(state, settings)
+    state, _ = rejuvenated(state, settings)
     assert len(state.landmarks.of_particle(0)[0]) == whole
     assert_maps_are_the_lineages(state)
-
-
-def test_what_is_fixed_is_not_touched_where_nothing_in_it_is_renamed():
-    settings = worlds.settings(particles=10, proposal="informed", gate=1e3, exclusive=True)
-    state, _ = run(worlds.drive(5, steps=20), settings)
-    settings = replace(settings, rejuvenation=replace(ALWAYS, window=6))
-    rejuvenated(state, settings)
-    whole = len(state.landmarks.of_particle(0)[0])
-    split(state, reversed(state.history.records))
-    before = [record.matches for record in state.history.records[: state.fixed[0].records]]
-    rejuvenated(state, settings)
-    assert len(state.landmarks.of_particle(0)[0]) == whole
-    assert len(before) == 54
-    for record, matches in zip(state.history.records, before, strict=False):
-        assert record.matches is matches
+    counts, _ = state.history.settled.seen.of_ids(state.landmarks.ids[state.landmarks.alive()])
+    assert counts.sum() == 5 * len(state.history.settled)
 
 
 def test_every_particle_has_a_past_of_its_own_and_the_filter_goes_on():
@@ -329,72 +303,63 @@ def test_every_particle_has_a_past_of_its_own_and_the_filter_goes_on():
             assert 1 <= info.rejuvenated.effective_particles <= 50
 
 
-def test_is_due_when_few_descend_from_the_last_time_and_it_has_rested():
+def test_is_due_when_few_descend_from_the_last_time():
     settings = worlds.settings(particles=10)
     state = rbpf.init(worlds.START, settings)
-    often = RejuvenationSettings(ancestors_below=0.5, rest=3)
+    often = RejuvenationSettings(ancestors_below=0.5)
     state.origins = np.repeat(np.arange(4, dtype=np.int32), [3, 3, 3, 1])
-    state.steps = 2
-    assert not rejuvenation.is_due(state, often)
-    state.steps = 3
     assert rejuvenation.is_due(state, often)
     assert not rejuvenation.is_due(state, RejuvenationSettings())
     state.origins = np.repeat(np.arange(5, dtype=np.int32), 2)
     assert not rejuvenation.is_due(state, often)
 
 
-def test_fixed_poses_stay_and_the_rest_is_as_good_as_with_all_of_them():
-    steps = worlds.drive(8, steps=40)
-    settings = worlds.settings(particles=100, proposal="informed", resample_below=0.5)
+def test_with_a_short_window_the_poses_are_as_good_as_with_all():
+    steps = worlds.drive(8, steps=60)
+    settings = worlds.settings(particles=200, proposal="informed", resample_below=0.5)
     settings = replace(settings, rejuvenation=replace(ALWAYS, ancestors_below=0.5))
-    narrow = replace(settings, rejuvenation=replace(settings.rejuvenation, window=20))
+    narrow = replace(settings, rejuvenation=replace(settings.rejuvenation, unknowns=150))
     _, whole = run(steps, settings)
     state, few = run(steps, narrow)
-    records = state.history.records
-    drawn_at = 3 * state.origin_step
-    count = state.fixed[state.fixed_of[rbpf.best_particle(state)]].records
-    assert drawn_at - 23 < count <= drawn_at - 20
-    assert records[count].step > records[count - 1].step
+    assert len(state.history.settled) > 100
+    differences = []
     for a, b in zip(whole, few, strict=True):
-        for (mean, covariance), (other, _) in zip(a.moments, b.moments, strict=True):
-            # The random numbers differ too.
-            assert (np.abs(mean - other) < 4 * np.sqrt(np.diag(covariance)) + 0.02).all()
-    counted = sum((record.matches[:, row] >= 0).sum() for record, row in state.history.lineage(0))
-    assert counted == 40 * 3 * 5
+        for (mean, _), (other, covariance) in zip(a.moments, b.moments, strict=True):
+            differences.append((mean - other) / (np.sqrt(np.diag(covariance)) + 1e-3))
+    assert np.sqrt(np.mean(np.square(differences))) < 1
+    counts, _ = state.history.settled.seen.of_ids(state.prior.ids)
+    assert counts.sum() == 5 * len(state.history.settled)
 
 
-# Histories that join different landmarks, some of them seen before the window only.
 @pytest.mark.parametrize(("seed", "alike", "gate"), [(2, 0.0, 2.0), (3, 0.3, 4.0), (4, 0.3, 4.0)])
 def test_every_particle_holds_just_the_landmarks_of_its_past(seed, alike, gate):
-    settings = often(40, gate, window=20)
-    state = rbpf.init(worlds.START, settings, np.float64)
-    rng = np.random.default_rng(seed)
-    alone, begins = 0, set()
+    settings = often(40, gate)
+    particles = ParticleFilter(worlds.START, settings, np.random.default_rng(seed))
+    alone = 0
     for frames in worlds.drive(seed, steps=30, alike=alike):
-        info = rbpf.step(state, frames, settings, rng)
-        assert_maps_are_the_lineages(state)
+        info = particles.step(frames)
+        assert_maps_are_the_lineages(particles.state)
         alone += info.rejuvenated.alone if info.rejuvenated else 0
-        begins |= {tuple(fixed.known.ids) for fixed in state.fixed}
     assert alone > 0
-    assert len(begins) > 3
-    assert max(fixed.records for fixed in state.fixed) > 50
 
 
 def test_best_particle_is_of_the_largest_group():
     state, settings = in_two_groups(10, 20)
-    info = rejuvenated(state, replace(settings, rejuvenation=replace(ALWAYS, share=0.1)))
+    state, info = rejuvenated(state, replace(settings, rejuvenation=replace(ALWAYS, share=0.1)))
     assert info.groups == 2
     assert rbpf.best_particle(state) >= 10
+
+
+def test_where_every_group_is_too_small_there_is_no_new_state():
     state, settings = in_two_groups(10, 20)
-    info = rejuvenated(state, replace(settings, rejuvenation=replace(ALWAYS, share=1.0)))
+    new, info = rejuvenated(state, replace(settings, rejuvenation=replace(ALWAYS, share=1.0)))
+    assert new is None
     assert info.groups == 0
-    assert rbpf.best_particle(state) >= 10
 
 
 def test_boxes_hold_what_was_drawn():
     state, settings = in_two_groups(10, 20)
-    state.landmarks.boxes[:] = np.nan
-    rejuvenated(state, replace(settings, rejuvenation=replace(ALWAYS, share=0.1)))
+    state, _ = rejuvenated(state, replace(settings, rejuvenation=replace(ALWAYS, share=0.1)))
     alive = state.landmarks.alive()
     boxes = state.landmarks.boxes[alive].copy()
     state.landmarks.bound(alive, settings.gate)
@@ -403,7 +368,7 @@ def test_boxes_hold_what_was_drawn():
 
 @pytest.mark.parametrize("proposal", ["motion", "informed"])
 def test_run_with_boxes_is_the_run_without(proposal, monkeypatch):
-    settings = replace(often(30, 11.345, window=30), proposal=proposal)
+    settings = replace(often(30, 11.345), proposal=proposal)
     steps = worlds.drive(9, steps=20)
     state, infos = run(steps, settings)
     assert sum(info.rejuvenated is not None for info in infos) > 3
@@ -421,7 +386,7 @@ def test_landmarks_seen_in_one_frame_are_two():
     for exclusive in (True, False):
         state, _ = run(worlds.drive(5, steps=6), settings)
         deaf = replace(settings, gate=1e9, robust_above=1e9, descriptor_gate=1e9)
-        rejuvenated(state, replace(deaf, exclusive=exclusive))
+        state, _ = rejuvenated(state, replace(deaf, exclusive=exclusive))
         held = len(state.landmarks.of_particle(0)[0])
         assert held >= 5 if exclusive else held == 1
 
@@ -433,27 +398,19 @@ def spoiled(state, value):
     return state
 
 
-def fails_always(*arguments, error=SmoothingError):
+def fails_always(*arguments, error=SmoothingError, **named):
     raise error("on purpose")
 
 
 @pytest.mark.parametrize("error", [SmoothingError, ValueError, np.linalg.LinAlgError])
-@pytest.mark.parametrize(
-    ("module", "name"), [(solve, "smooth"), (draws, "draw"), (marginals, "marginalise")]
-)
-def test_failed_smoothing_leaves_the_particles_resampled_and_nothing_else(
-    module, name, error, monkeypatch
-):
+@pytest.mark.parametrize(("module", "name"), [(solve, "smooth"), (draws, "draw")])
+def test_failed_smoothing_makes_no_new_state_and_says_why(module, name, error, monkeypatch):
     state, settings = in_two_groups(10, 20)
-    state.log_weights[:] = np.random.default_rng(0).normal(0, 1, 30)
-    expected = deepcopy(state)
-    expected.fixed, expected.scales = state.fixed, state.scales
     monkeypatch.setattr(module, name, partial(fails_always, error=error))
-    info = rejuvenated(state, replace(settings, rejuvenation=replace(ALWAYS, share=0.1)))
+    new, info = rejuvenated(state, replace(settings, rejuvenation=replace(ALWAYS, share=0.1)))
+    assert new is None
     assert info.failures == ("on purpose",) * 2
     assert (info.groups, info.alone, info.effective_particles) == (0, 30, 0)
-    resample(expected, info.ancestors)
-    assert_same_state(state, expected)
 
 
 def test_failed_smoothing_is_tried_again_later(monkeypatch):
@@ -468,22 +425,22 @@ def test_failed_smoothing_is_tried_again_later(monkeypatch):
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e200])
 def test_a_past_that_is_not_finite_fails(value):
     state, settings = in_two_groups(10, 20)
-    info = rejuvenated(spoiled(state, value), replace(settings, rejuvenation=ALWAYS))
-    assert info.groups == 0
-    assert info.failures == ("smoothing 18 poses: a step is not finite",) * 2
-    assert np.isfinite(state.poses).all()
+    new, info = rejuvenated(spoiled(state, value), replace(settings, rejuvenation=ALWAYS))
+    assert new is None
+    assert len(info.failures) == 2
+    assert all("is not finite" in failure for failure in info.failures)
 
 
 def test_history_that_cannot_be_smoothed_stays_and_the_others_go_on(monkeypatch):
     state, settings = in_two_groups(10, 20)
     before, smooth, calls = deepcopy(state), solve.smooth, []
 
-    def fails_first(*arguments):
+    def fails_first(*arguments, **named):
         calls.append(arguments)
-        return smooth(*arguments) if len(calls) > 1 else fails_always()
+        return smooth(*arguments, **named) if len(calls) > 1 else fails_always()
 
     monkeypatch.setattr(solve, "smooth", fails_first)
-    info = rejuvenated(state, replace(settings, rejuvenation=replace(ALWAYS, share=0.1)))
+    state, info = rejuvenated(state, replace(settings, rejuvenation=replace(ALWAYS, share=0.1)))
     assert (info.groups, info.alone, info.failures) == (1, 20, ("on purpose",))
     assert (state.poses[:, :, 10:] == before.poses[:, :, 10:]).all()
     assert (state.poses[:, :, :10] != before.poses[:, :, :10]).any(axis=(0, 1)).all()

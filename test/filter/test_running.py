@@ -1,0 +1,151 @@
+"""Rejuvenation beside the filter: as if it were done at once, however slow the worker is."""
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import worlds
+
+from multi_robot_slam.filter import rbpf, rejuvenation, running, snapshot
+from multi_robot_slam.filter.running import ParticleFilter
+from multi_robot_slam.filter.settings import RejuvenationSettings
+
+SECOND = 10**9
+
+
+def settings(delay_s=0.0, **changes):
+    rest = RejuvenationSettings(ancestors_below=0.5, delay_s=delay_s, unknowns=150)
+    changes = {"particles": 60, "resample_below": 0.5, "rejuvenation": rest} | changes
+    return worlds.settings(proposal="informed", **changes)
+
+
+def drive(seed=3, steps=40, **options):
+    """Steps one second apart."""
+    return [
+        [replace(frame, stamp_ns=t * SECOND) for frame in frames]
+        for t, frames in enumerate(worlds.drive(seed, steps, alike=0.2, **options))
+    ]
+
+
+def content(state):
+    """All that the next steps depend on, and the particles' pasts, as bytes."""
+    found = [state.poses, state.log_weights, state.log_weight_sum, state.history.signatures]
+    found += [state.origins, *state.prior, state.covisible.together, state.scales.factors]
+    for m in range(state.poses.shape[2]):
+        found += state.landmarks.of_particle(m)
+        for record, row in state.history.lineage(m):
+            found += [record.poses[:, row], record.matches[:, row]]
+    return b"".join(np.ascontiguousarray(part).tobytes() for part in found)
+
+
+def at_once(steps, settings, seed):
+    """The slow twin: every rejuvenation is done where it begins. Yields the state of each step."""
+    rng = np.random.default_rng(seed)
+    state = rbpf.init(worlds.START, settings)
+    begun_ns = None
+    for frames in steps:
+        rbpf.step(state, frames, settings, rng)
+        now_ns = frames[0].stamp_ns
+        counts = begun_ns is None or now_ns - begun_ns >= settings.rejuvenation.delay_s * SECOND
+        yield state, counts
+        if counts and now_ns != begun_ns:
+            begun_ns = None
+            if rejuvenation.is_due(state, settings.rejuvenation):
+                begun_ns = now_ns
+                own = rng.spawn(1)[0]
+                old = snapshot.taken(state, settings, own)
+                state, _ = rejuvenation.rejuvenate(old, settings, own)
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 1.0, 3.5])
+def test_handed_over_it_is_what_it_would_be_done_at_once(delay_s):
+    own, steps = settings(delay_s), drive()
+    particles = ParticleFilter(worlds.START, own, np.random.default_rng(1))
+    handed_over = 0
+    for frames, (twin, counts) in zip(steps, at_once(steps, own, 1), strict=True):
+        info = particles.step(frames)
+        handed_over += info.rejuvenated is not None
+        assert counts == (
+            particles._begun is None
+            or info.rejuvenated is not None
+            or particles._begun.stamp_ns == frames[0].stamp_ns
+        )
+        if counts:
+            assert content(particles.state) == content(twin)
+    assert handed_over > 3
+
+
+def slow(function):
+    def slowed(*arguments):
+        time.sleep(0.05)
+        return function(*arguments)
+
+    return slowed
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 2.0])
+def test_same_bytes_whether_the_worker_is_slow_fast_or_not_there(delay_s, monkeypatch):
+    def run(threads, seed=5):
+        own = settings(delay_s, threads=threads)
+        particles = ParticleFilter(worlds.START, own, np.random.default_rng(seed))
+        infos = [particles.step(frames) for frames in drive(steps=25)]
+        moments = [part for info in infos for pair in info.moments for part in pair]
+        return content(particles.state) + b"".join(part.tobytes() for part in moments)
+
+    alone, beside = run(threads=1), run(threads=2)
+    assert alone == beside
+    monkeypatch.setattr(rejuvenation, "rejuvenate", slow(rejuvenation.rejuvenate))
+    assert run(threads=2) == alone
+    assert run(threads=2, seed=6) != alone
+
+
+def test_until_it_counts_the_filter_goes_on_from_the_old_state(monkeypatch):
+    own, steps = settings(5.0), drive()
+    never = replace(own, rejuvenation=replace(own.rejuvenation, ancestors_below=0.0))
+    particles = ParticleFilter(worlds.START, own, np.random.default_rng(1))
+    twin = ParticleFilter(worlds.START, never, np.random.default_rng(1))
+    for frames in steps:
+        info, same = particles.step(frames), twin.step(frames)
+        if info.rejuvenated is not None:
+            break
+        for (mean, covariance), (other, spread) in zip(info.moments, same.moments, strict=True):
+            assert mean.tobytes() == other.tobytes()
+            assert covariance.tobytes() == spread.tobytes()
+    assert info.rejuvenated.groups > 0
+
+
+def test_a_step_that_fails_is_not_repeated():
+    own, steps = settings(3.0), drive()
+    particles = ParticleFilter(worlds.START, own, np.random.default_rng(1))
+    failed, groups = 0, 0
+    for frames in steps:
+        if particles._begun is not None and not failed:
+            bad = replace(frames[0], motion=np.full(3, np.nan))
+            with pytest.raises(running.FAILURES):
+                particles.step([bad])
+            failed += 1
+        info = particles.step(frames)
+        groups += info.rejuvenated.groups if info.rejuvenated else 0
+    assert failed
+    assert groups
+
+
+def test_where_a_step_cannot_be_repeated_the_old_state_stays_and_it_is_told(monkeypatch):
+    own, steps = settings(2.0), drive()
+    particles = ParticleFilter(worlds.START, own, np.random.default_rng(1))
+    step, told = rbpf.step, []
+
+    def fails_in_the_new_state(state, frames, settings, rng):
+        if state is not particles.state:
+            raise ValueError("on purpose")
+        return step(state, frames, settings, rng)
+
+    monkeypatch.setattr(rbpf, "step", fails_in_the_new_state)
+    for frames in steps:
+        before = particles.state
+        info = particles.step(frames)
+        assert particles.state is before
+        told += info.rejuvenated.failures if info.rejuvenated else ()
+    assert told
+    assert set(told) == {"a step cannot be repeated (on purpose)"}
