@@ -24,14 +24,14 @@ class Held:
     """Of planes."""
     next_id: int
     """Of the landmark that is created next."""
-    alone: np.ndarray
-    """(n,): the particles."""
+    others: np.ndarray
+    """(n,): particles."""
     planes: np.ndarray
     """(N, 9, n): their means and covariances, as in `Landmarks`."""
 
 
-def held(landmarks: Landmarks, alone: np.ndarray, ancestors: np.ndarray) -> Held:
-    """A copy of what the particles `ancestors` (n,) hold; they will be the particles `alone`."""
+def held(landmarks: Landmarks, others: np.ndarray, ancestors: np.ndarray) -> Held:
+    """A copy of what the particles `ancestors` (n,) hold; they will be the particles `others`."""
     columns = landmarks.alive()
     columns = columns[np.argsort(landmarks.ids[columns])]
     return Held(
@@ -40,7 +40,7 @@ def held(landmarks: Landmarks, alone: np.ndarray, ancestors: np.ndarray) -> Held
         landmarks.planes.shape[2],
         landmarks.planes.dtype,
         landmarks.next_id,
-        alone,
+        others,
         landmarks.planes_of(columns, ancestors),
     )
 
@@ -55,9 +55,9 @@ def of_groups(old: Held, groups: Sequence[tuple[np.ndarray, np.ndarray, np.ndarr
     """
     ids = np.unique(np.concatenate([own for _, own, _ in groups])).astype(np.int32)
     members = np.concatenate([members for members, _, _ in groups])
-    keeps = ~np.isin(old.alone, members)
-    others = old.planes[:, :, keeps]
-    is_held = (others[:, 0] < kernels.FAR / 2).any(axis=1)
+    keeps = ~np.isin(old.others, members)
+    kept = old.planes[:, :, keeps]
+    is_held = (kept[:, 0] < kernels.FAR / 2).any(axis=1)
     ids = np.union1d(ids, old.ids[is_held])
     planes = reserved((len(ids), kernels.PLANES, old.particles), old.dtype)
     planes[:] = kernels.NO_LANDMARK[:, None]
@@ -65,6 +65,6 @@ def of_groups(old: Held, groups: Sequence[tuple[np.ndarray, np.ndarray, np.ndarr
         rows = np.searchsorted(ids, own)
         planes[np.ix_(rows, np.arange(kernels.PLANES), particles)] = values
     rows = np.searchsorted(ids, old.ids[is_held])
-    planes[np.ix_(rows, np.arange(kernels.PLANES), old.alone[keeps])] = others[is_held]
+    planes[np.ix_(rows, np.arange(kernels.PLANES), old.others[keeps])] = kept[is_held]
     descriptors = old.descriptors[np.searchsorted(old.ids, ids)]
     return Landmarks.holding(ids, planes, descriptors, old.next_id)

@@ -13,9 +13,10 @@ from multi_robot_slam.filter.history import Past, Record, signature_of
 from multi_robot_slam.filter.settings import FilterSettings, threads
 from multi_robot_slam.filter.snapshot import Snapshot
 from multi_robot_slam.smoothing import draws, joining, solve
+from multi_robot_slam.smoothing.absorption import resting
 from multi_robot_slam.smoothing.aliases import Aliases
 from multi_robot_slam.smoothing.odometry_scale import Scales, learn
-from multi_robot_slam.smoothing.prior import Prior, resting
+from multi_robot_slam.smoothing.prior import Prior
 from multi_robot_slam.smoothing.problem import Problem, problem_of
 from multi_robot_slam.smoothing.solve import Smoothed, SmoothingError
 
@@ -46,6 +47,8 @@ class Drawn(NamedTuple):
     """The one the past begins with, joined landmarks under the id they go by."""
     problem: Problem
     smoothed: Smoothed
+    motions: np.ndarray
+    """(P, 3) of the records, as odometry told them."""
     old_scales: Scales
 
     @property
@@ -56,8 +59,7 @@ class Drawn(NamedTuple):
     def learn(self, settle: int) -> Scales:
         """The odometry's factors, where the first `settle` records leave."""
         count = len(self.past.identities)
-        motions = np.array([record.motion for record in self.problem.records])
-        return learn(self.old_scales, self.problem, self.smoothed, motions, settle / count)
+        return learn(self.old_scales, self.problem, self.smoothed, self.motions, settle / count)
 
 
 def draw(
@@ -112,6 +114,7 @@ def draw(
         prior,
         problem,
         smoothed,
+        np.array([record.motion for record in records]),
         old.scales,
     )
 

@@ -12,7 +12,7 @@ history A that enough particles share:
 
 Every particle has a past of its own again, and the filter goes on. Particles whose history too few
 share stay as they are: a smoothing for each would cost more than they weigh. So do those whose
-history cannot be smoothed.
+history cannot be smoothed; where that is the largest group, all do.
 
 Where smoothing would have too many unknowns, the older frames settle: they are marginalised into
 the prior, a joint Gaussian of landmarks and of where the robots go on from (`smoothing.prior`). No
@@ -32,7 +32,7 @@ from multi_robot_slam.filter.settings import FilterSettings, RejuvenationSetting
 from multi_robot_slam.filter.snapshot import Snapshot
 from multi_robot_slam.filter.state import State
 from multi_robot_slam.smoothing import joining
-from multi_robot_slam.smoothing.prior import absorb
+from multi_robot_slam.smoothing.absorption import absorb
 
 
 class Rejuvenated(NamedTuple):
@@ -71,7 +71,10 @@ def rejuvenate(
 def _draw_groups(
     old: Snapshot, settings: FilterSettings, rng: np.random.Generator
 ) -> tuple[list[Drawn], list[str]]:
-    """New pasts of the groups that are large enough; why some have none."""
+    """New pasts of the groups that are large enough; why some have none.
+
+    None at all without the largest: what settles is what it makes of it.
+    """
     least = settings.rejuvenation.share * len(old.log_weight_sum)
     alike = old.held.ids[joining.alike(old.held.descriptors, settings.descriptor_gate)]
     drawn: list[Drawn] = []
@@ -82,6 +85,8 @@ def _draw_groups(
                 drawn.append(draw(old, members, alike, settings, rng))
             except ValueError as error:  # `SmoothingError`, or numbers no library could use
                 failures.append(str(error))
+                if members is old.groups[0]:
+                    break
     return drawn, failures
 
 

@@ -83,8 +83,9 @@ class ParticleFilter:
 
     def _begin(self, stamp_ns: int) -> None:
         own = self._rng.spawn(1)[0]
-        old = snapshot.taken(self.state, self._settings, own)
+        old = snapshot.taken(self.state, own)
         result = self._submit(old, own)
+        self.state.begin_origins()
         self._begun = _Begun(stamp_ns, result, deepcopy(self._rng))
 
     def _submit(self, old: Snapshot, rng: np.random.Generator) -> Future[Result]:
@@ -107,7 +108,6 @@ class ParticleFilter:
             else:
                 self.state, self._rng = state, begun.rng
                 return info._replace(rejuvenated=rejuvenated)
-        self.state.begin_origins()
         return info._replace(rejuvenated=rejuvenated._replace(groups=0))
 
 
@@ -123,4 +123,4 @@ def warm_up(settings: FilterSettings) -> None:
     state = rbpf.warm_up(settings)
     if settings.rejuvenation.ancestors_below > 0:
         rng = np.random.default_rng(0)
-        rejuvenation.rejuvenate(snapshot.taken(state, settings, rng), settings, rng)
+        rejuvenation.rejuvenate(snapshot.taken(state, rng), settings, rng)

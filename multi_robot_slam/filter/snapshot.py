@@ -8,7 +8,6 @@ from multi_robot_slam.filter import new_map, resampling
 from multi_robot_slam.filter.covisible import Covisible
 from multi_robot_slam.filter.history import History
 from multi_robot_slam.filter.new_map import Held
-from multi_robot_slam.filter.settings import FilterSettings
 from multi_robot_slam.filter.state import State
 from multi_robot_slam.smoothing.odometry_scale import Scales
 from multi_robot_slam.smoothing.prior import Prior
@@ -30,19 +29,17 @@ class Snapshot:
     groups: tuple[np.ndarray, ...]
     """Particles (n,) of each association history, the largest group first."""
     held: Held
-    """The landmarks, as the particles hold them whose history too few share."""
+    """The landmarks, as the particles hold them that are not of the largest group."""
 
 
-def taken(state: State, settings: FilterSettings, rng: np.random.Generator) -> Snapshot:
+def taken(state: State, rng: np.random.Generator) -> Snapshot:
     """What a rejuvenation of the particles, resampled now, has to know."""
     weights = resampling.normalise(state.log_weights)
     ancestors = resampling.systematic(weights, rng.random())
     history = state.history.copy()
     history.resample(ancestors)
     groups = _groups(history.signatures)
-    least = settings.rejuvenation.share * len(weights)
-    few = [group for group in groups if len(group) < least]
-    alone = np.sort(np.concatenate([np.empty(0, int), *few]))
+    others = np.sort(np.concatenate([np.empty(0, int), *groups[1:]]))
     return Snapshot(
         state.steps,
         np.take(state.poses, ancestors, axis=2),
@@ -52,7 +49,7 @@ def taken(state: State, settings: FilterSettings, rng: np.random.Generator) -> S
         state.prior,
         state.covisible,
         tuple(groups),
-        new_map.held(state.landmarks, alone, ancestors[alone]),
+        new_map.held(state.landmarks, others, ancestors[others]),
     )
 
 

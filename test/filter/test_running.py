@@ -20,18 +20,18 @@ def settings(delay_s=0.0, **changes):
     return worlds.settings(proposal="informed", **changes)
 
 
-def drive(seed=3, steps=40, **options):
+def drive(seed=3, steps=40, alike=0.0):
     """Steps one second apart."""
     return [
         [replace(frame, stamp_ns=t * SECOND) for frame in frames]
-        for t, frames in enumerate(worlds.drive(seed, steps, alike=0.2, **options))
+        for t, frames in enumerate(worlds.drive(seed, steps, alike=alike))
     ]
 
 
 def content(state):
     """All that the next steps depend on, and the particles' pasts, as bytes."""
     found = [state.poses, state.log_weights, state.log_weight_sum, state.history.signatures]
-    found += [state.origins, *state.prior, state.covisible.together, state.scales.factors]
+    found += [*state.prior, state.covisible.together, state.scales.factors]
     for m in range(state.poses.shape[2]):
         found += state.landmarks.of_particle(m)
         for record, row in state.history.lineage(m):
@@ -54,8 +54,9 @@ def at_once(steps, settings, seed):
             if rejuvenation.is_due(state, settings.rejuvenation):
                 begun_ns = now_ns
                 own = rng.spawn(1)[0]
-                old = snapshot.taken(state, settings, own)
-                state, _ = rejuvenation.rejuvenate(old, settings, own)
+                old = snapshot.taken(state, own)
+                state.begin_origins()
+                state = rejuvenation.rejuvenate(old, settings, own)[0] or state
 
 
 @pytest.mark.parametrize("delay_s", [0.0, 1.0, 3.5])
