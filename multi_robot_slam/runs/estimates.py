@@ -4,10 +4,13 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from msg_defs import scenario_file, topics, wire
 from msg_defs.errors import InputError
 from msg_defs.topics import Topic
-from msg_defs.types import Estimate, StepRecord, Trajectory
+from msg_defs.types import Estimate, FrameCount, StepRecord, Trajectory
+from msg_defs.wire import Estimates
 from multi_robot_slam.bags import BagReader, BagWriter, absolute
 from multi_robot_slam.config import SECTION, Config
 from multi_robot_slam.runs.run import Recorded, Run, assemble
@@ -22,6 +25,11 @@ STATUS = "fusion"
 """Name of the status with these keys."""
 ALWAYS_TOLD = "steps"
 """A key that a live fusion's status has whether or not anything was dropped."""
+
+OF_ROBOT = f"{STATUS}: "
+"""Prefix of the name of each robot's status."""
+SEEN, USED = "frames", "keyframes"
+"""Its keys that count the frames that could be used, and those that became steps."""
 
 LATER_PATHS = {
     "mean": topics.mean_path,
@@ -72,13 +80,16 @@ def join(reader: BagReader, messages: Messages, config: Config, recording: Recor
         missing += map(topics.path, config.robots)
     if missing:
         raise none_in(reader, missing, recording.namespace)
+    steps, predicted = _published(messages, config.robots)
     run = assemble(
         config,
         recording,
-        steps=_steps(messages, config.robots),
+        steps=steps,
         paths=last(topics.path),
         landmarks=wire.decode_map(messages[topics.MAP_LANDMARKS][-1]),
         dropped=dropped(messages[topics.DIAGNOSTICS]),
+        frames=_frames(messages[topics.DIAGNOSTICS], config.robots),
+        predicted=predicted,
     )
     refined = messages[topics.REFINED_LANDMARKS]
     return replace(
@@ -88,47 +99,74 @@ def join(reader: BagReader, messages: Messages, config: Config, recording: Recor
 
 
 def dropped(messages: list[bytes]) -> dict[str, int]:
-    """What the fusion counted last as dropped, by reason.
+    """What the fusion counted last as dropped, by reason."""
+    for status in _statuses(messages):
+        counts = {k: v for k, v in status.values.items() if k.startswith(DROPPED)}
+        is_ours = status.name == STATUS and (counts or ALWAYS_TOLD in status.values)
+        if is_ours and all(count.isdecimal() for count in counts.values()):
+            return {key.removeprefix(DROPPED): int(count) for key, count in counts.items()}
+    return {}
 
-    `/diagnostics` belongs to all nodes of a system: what others say there is passed over.
+
+def _frames(messages: list[bytes], robots: tuple[str, ...]) -> dict[str, FrameCount]:
+    """What became of each robot's frames by the fusion's last count, where it told that."""
+    found: dict[str, FrameCount] = {}
+    for status in _statuses(messages):
+        robot = status.name.removeprefix(OF_ROBOT)
+        counts = [status.values.get(key, "") for key in (SEEN, USED)]
+        is_ours = status.name != robot and robot in robots and all(map(str.isdecimal, counts))
+        if is_ours and robot not in found:
+            found[robot] = FrameCount(*map(int, counts))
+        if len(found) == len(robots):
+            break
+    return found
+
+
+def _statuses(messages: list[bytes]) -> Iterator[wire.Status]:
+    """All of `/diagnostics`, the last messages first.
+
+    The topic belongs to all nodes of a system: what cannot be decoded is passed over.
     """
     for data in reversed(messages):
         try:
             _, statuses = wire.decode_diagnostics(data)
         except InputError:
             continue
-        for status in statuses:
-            counts = {k: v for k, v in status.values.items() if k.startswith(DROPPED)}
-            is_ours = status.name == STATUS and (counts or ALWAYS_TOLD in status.values)
-            if is_ours and all(count.isdecimal() for count in counts.values()):
-                return {key.removeprefix(DROPPED): int(count) for key, count in counts.items()}
-    return {}
-
-
-def _steps(messages: Messages, robots: Iterable[str]) -> list[StepRecord]:
-    """The steps, with the estimates that were published on each robot's `pose`, `mean_pose`."""
-    robots = tuple(robots)
-    published = _published(messages, robots, topics.pose)
-    for key, mean in _published(messages, robots, topics.mean_pose).items():
-        if key in published:
-            published[key] = replace(published[key], mean=mean.pose)
-    steps = []
-    for step in map(wire.decode_step, messages[topics.STEPS]):
-        keys = [(frame.robot, step.stamp_ns) for frame in step.frames]
-        estimates = tuple(published[key] for key in keys if key in published)
-        steps.append(replace(step, estimates=estimates))
-    return steps
+        yield from statuses
 
 
 def _published(
-    messages: Messages, robots: tuple[str, ...], kind: Callable[[str], Topic]
-) -> dict[tuple[str, int], Estimate]:
-    """Robot and stamp -> what was published."""
-    return {
-        (robot, estimate.stamp_ns): estimate
-        for robot in robots
-        for estimate in (wire.decode_estimate(d, robot) for d in messages[kind(robot)])
+    messages: Messages, robots: tuple[str, ...]
+) -> tuple[list[StepRecord], dict[str, Estimates]]:
+    """The steps with the estimates on `pose` and `mean_pose`; what else each `pose` predicted."""
+    poses = {robot: wire.decode_estimates(messages[topics.pose(robot)], robot) for robot in robots}
+    means = {r: wire.decode_estimates(messages[topics.mean_pose(r)], r) for r in robots}
+    rows = {robot: _rows(own) for robot, own in poses.items()}
+    mean_rows = {robot: _rows(own) for robot, own in means.items()}
+    steps = []
+    is_predicted = {robot: np.ones(len(own.stamps_ns), bool) for robot, own in poses.items()}
+    for step in map(wire.decode_step, messages[topics.STEPS]):
+        estimates = []
+        for robot in (frame.robot for frame in step.frames):
+            row = rows[robot].get(step.stamp_ns)
+            if row is None:
+                continue
+            mean_row = mean_rows[robot].get(step.stamp_ns)
+            mean = None if mean_row is None else means[robot].poses[mean_row]
+            _, pose, covariance = (values[row] for values in poses[robot])
+            estimates.append(Estimate(robot, step.stamp_ns, pose, covariance, mean))
+            is_predicted[robot][row] = False
+        steps.append(replace(step, estimates=tuple(estimates)))
+    predicted = {
+        robot: Estimates(*(values[is_predicted[robot]] for values in own))
+        for robot, own in poses.items()
     }
+    return steps, predicted
+
+
+def _rows(estimates: Estimates) -> dict[int, int]:
+    """Stamp -> row; of several the last, for a step comes after what was predicted for it."""
+    return {stamp: row for row, stamp in enumerate(estimates.stamps_ns.tolist())}
 
 
 def write(run: Run, folder: Path) -> None:
@@ -137,6 +175,10 @@ def write(run: Run, folder: Path) -> None:
     with BagWriter(Path(folder) / FOLDER) as bag:
         text = scenario_file.to_yaml(**{SECTION: run.config})
         bag.write(topics.FUSION_CONFIG, end_ns, wire.encode_text(text))
+        for estimate in _predictions(run):
+            bag.write(
+                topics.pose(estimate.robot), estimate.stamp_ns, wire.encode_estimate(estimate)
+            )
         for step in run.steps:
             bag.write(topics.STEPS, step.stamp_ns, wire.encode_step(step))
             for estimate in step.estimates:
@@ -144,6 +186,12 @@ def write(run: Run, folder: Path) -> None:
                     bag.write(topic, step.stamp_ns, data)
         for topic, data in _at_the_end(run, end_ns):
             bag.write(topic, end_ns, data)
+
+
+def _predictions(run: Run) -> Iterator[Estimate]:
+    for name, robot in run.robots.items():
+        for stamp_ns, pose, covariance in zip(*robot.predicted, strict=True):
+            yield Estimate(name, int(stamp_ns), pose, covariance)
 
 
 def _of_estimate(estimate: Estimate) -> Iterator[tuple[Topic, bytes]]:
@@ -154,7 +202,11 @@ def _of_estimate(estimate: Estimate) -> Iterator[tuple[Topic, bytes]]:
 
 def _at_the_end(run: Run, end_ns: int) -> Iterator[tuple[Topic, bytes]]:
     counts = {f"{DROPPED}{reason}": str(count) for reason, count in run.dropped.items()}
-    yield topics.DIAGNOSTICS, wire.encode_diagnostics(end_ns, [wire.Status(STATUS, counts)])
+    statuses = [wire.Status(STATUS, counts)]
+    for robot, count in run.frames.items():
+        frames = {SEEN: str(count.seen), USED: str(count.used)}
+        statuses.append(wire.Status(f"{OF_ROBOT}{robot}", frames))
+    yield topics.DIAGNOSTICS, wire.encode_diagnostics(end_ns, statuses)
     yield topics.MAP_LANDMARKS, wire.encode_map(run.landmarks, end_ns)
     if run.refined_landmarks is not None:
         yield topics.REFINED_LANDMARKS, wire.encode_map(run.refined_landmarks, end_ns)
