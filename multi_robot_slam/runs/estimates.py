@@ -1,7 +1,9 @@
 """What the fusion published of a run: read from a live run's bag, written into an offline run's."""
 
+import heapq
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
+from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
@@ -139,34 +141,41 @@ def _published(
     messages: Messages, robots: tuple[str, ...]
 ) -> tuple[list[StepRecord], dict[str, Estimates]]:
     """The steps with the estimates on `pose` and `mean_pose`; what else each `pose` predicted."""
-    poses = {robot: wire.decode_estimates(messages[topics.pose(robot)], robot) for robot in robots}
-    means = {r: wire.decode_estimates(messages[topics.mean_pose(r)], r) for r in robots}
-    rows = {robot: _rows(own) for robot, own in poses.items()}
-    mean_rows = {robot: _rows(own) for robot, own in means.items()}
+    poses = {robot: _Stream(messages[topics.pose(robot)], robot) for robot in robots}
+    means = {robot: _Stream(messages[topics.mean_pose(robot)], robot) for robot in robots}
     steps = []
-    is_predicted = {robot: np.ones(len(own.stamps_ns), bool) for robot, own in poses.items()}
     for step in map(wire.decode_step, messages[topics.STEPS]):
         estimates = []
         for robot in (frame.robot for frame in step.frames):
-            row = rows[robot].get(step.stamp_ns)
-            if row is None:
-                continue
-            mean_row = mean_rows[robot].get(step.stamp_ns)
-            mean = None if mean_row is None else means[robot].poses[mean_row]
-            _, pose, covariance = (values[row] for values in poses[robot])
-            estimates.append(Estimate(robot, step.stamp_ns, pose, covariance, mean))
-            is_predicted[robot][row] = False
+            mean = means[robot].take(step.stamp_ns)
+            if estimate := poses[robot].take(step.stamp_ns):
+                mean_pose = None if mean is None else mean.pose
+                estimates.append(replace(estimate, mean=mean_pose))
         steps.append(replace(step, estimates=tuple(estimates)))
-    predicted = {
-        robot: Estimates(*(values[is_predicted[robot]] for values in own))
-        for robot, own in poses.items()
-    }
-    return steps, predicted
+    return steps, {robot: own.rest() for robot, own in poses.items()}
 
 
-def _rows(estimates: Estimates) -> dict[int, int]:
-    """Stamp -> row; of several the last, for a step comes after what was predicted for it."""
-    return {stamp: row for row, stamp in enumerate(estimates.stamps_ns.tolist())}
+class _Stream:
+    """What was published on one topic, of which each step takes its own."""
+
+    def __init__(self, messages: list[bytes], robot: str) -> None:
+        self._robot = robot
+        self._all = wire.decode_estimates(messages, robot)
+        # of several of one stamp the last: a step comes after what was predicted for it
+        self._rows = {stamp: row for row, stamp in enumerate(self._all.stamps_ns.tolist())}
+        self._is_taken = np.zeros(len(self._all.stamps_ns), bool)
+
+    def take(self, stamp_ns: int) -> Estimate | None:
+        """What the step at `stamp_ns` published."""
+        row = self._rows.get(stamp_ns)
+        if row is None:
+            return None
+        self._is_taken[row] = True
+        return Estimate(self._robot, stamp_ns, self._all.poses[row], self._all.covariances[row])
+
+    def rest(self) -> Estimates:
+        """What no step has taken: predictions."""
+        return Estimates(*(values[~self._is_taken] for values in self._all))
 
 
 def write(run: Run, folder: Path) -> None:
@@ -175,23 +184,31 @@ def write(run: Run, folder: Path) -> None:
     with BagWriter(Path(folder) / FOLDER) as bag:
         text = scenario_file.to_yaml(**{SECTION: run.config})
         bag.write(topics.FUSION_CONFIG, end_ns, wire.encode_text(text))
-        for estimate in _predictions(run):
-            bag.write(
-                topics.pose(estimate.robot), estimate.stamp_ns, wire.encode_estimate(estimate)
-            )
-        for step in run.steps:
-            bag.write(topics.STEPS, step.stamp_ns, wire.encode_step(step))
-            for estimate in step.estimates:
-                for topic, data in _of_estimate(estimate):
-                    bag.write(topic, step.stamp_ns, data)
+        for stamp_ns, topic, data in heapq.merge(*_streams(run), key=itemgetter(0)):
+            bag.write(topic, stamp_ns, data)
         for topic, data in _at_the_end(run, end_ns):
             bag.write(topic, end_ns, data)
 
 
-def _predictions(run: Run) -> Iterator[Estimate]:
-    for name, robot in run.robots.items():
-        for stamp_ns, pose, covariance in zip(*robot.predicted, strict=True):
-            yield Estimate(name, int(stamp_ns), pose, covariance)
+def _streams(run: Run) -> list[Iterator[tuple[int, Topic, bytes]]]:
+    """Stamp, topic and bytes by stamp; of one stamp predictions come before the step."""
+    predicted = (_predictions(name, robot.predicted) for name, robot in run.robots.items())
+    return [*predicted, _of_steps(run.steps)]
+
+
+def _predictions(robot: str, predicted: Estimates) -> Iterator[tuple[int, Topic, bytes]]:
+    topic = topics.pose(robot)
+    for stamp_ns, pose, covariance in zip(*predicted, strict=True):
+        estimate = Estimate(robot, int(stamp_ns), pose, covariance)
+        yield estimate.stamp_ns, topic, wire.encode_estimate(estimate)
+
+
+def _of_steps(steps: Iterable[StepRecord]) -> Iterator[tuple[int, Topic, bytes]]:
+    for step in steps:
+        yield step.stamp_ns, topics.STEPS, wire.encode_step(step)
+        for estimate in step.estimates:
+            for topic, data in _of_estimate(estimate):
+                yield step.stamp_ns, topic, data
 
 
 def _of_estimate(estimate: Estimate) -> Iterator[tuple[Topic, bytes]]:
@@ -203,9 +220,9 @@ def _of_estimate(estimate: Estimate) -> Iterator[tuple[Topic, bytes]]:
 def _at_the_end(run: Run, end_ns: int) -> Iterator[tuple[Topic, bytes]]:
     counts = {f"{DROPPED}{reason}": str(count) for reason, count in run.dropped.items()}
     statuses = [wire.Status(STATUS, counts)]
-    for robot, count in run.frames.items():
+    for name, count in run.frames.items():
         frames = {SEEN: str(count.seen), USED: str(count.used)}
-        statuses.append(wire.Status(f"{OF_ROBOT}{robot}", frames))
+        statuses.append(wire.Status(f"{OF_ROBOT}{name}", frames))
     yield topics.DIAGNOSTICS, wire.encode_diagnostics(end_ns, statuses)
     yield topics.MAP_LANDMARKS, wire.encode_map(run.landmarks, end_ns)
     if run.refined_landmarks is not None:

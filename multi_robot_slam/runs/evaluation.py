@@ -46,10 +46,10 @@ def evaluate(run: Run) -> Figures:
     to its truth; `path_team_aligned_rmse_m`, `heading_team_aligned_rmse_rad`: after all together
     were, by one rotation and shift. `rte_1m_rmse_m`, `rte_1m_rmse_rad`, `rte_10m_...`: of the
     motion over so many metres (`relative_errors`), which is the same aligned or not.
-    These ten also of other paths: `odometry_...`; `online_...`, the poses as published,
-    at steps and in between; `online_mean_...`, the means as published at steps; `mean_...`, the mean of all particles' paths;
-    `refined_...`, smoothed over the best particle's associations; `batch_...`, the yardstick,
-    smoothed over the true ones.
+    These ten also of other paths: `odometry_...`; `online_...`, the poses as published, at steps
+    and in between; `online_mean_...`, the means as published at steps; `mean_...`, the mean of all
+    particles' paths; `refined_...`, smoothed over the best particle's associations; `batch_...`,
+    the yardstick, smoothed over the true ones.
     `truth_coverage`: share of the path's poses whose truth is known, on which these figures rest.
     `pose_nees`: normalised error of mean and covariance as published; 3 is consistent.
     `frames`, `keyframes`: how many of its frames could be used, and how many became steps.
