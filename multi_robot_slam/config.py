@@ -99,6 +99,10 @@ class Keyframe:
         return self.distance_m > 0 and self.yaw_rad > 0
 
 
+EVERY_FRAME = Keyframe(distance_m=0.0, yaw_rad=0.0)
+"""Every frame is a step, as in the paper, and poses are published at steps alone."""
+
+
 @settings
 class Config:
     """Everything the fusion needs to know before the first message."""

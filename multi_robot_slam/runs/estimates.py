@@ -90,7 +90,7 @@ def join(reader: BagReader, messages: Messages, config: Config, recording: Recor
         paths=last(topics.path),
         landmarks=wire.decode_map(messages[topics.MAP_LANDMARKS][-1]),
         dropped=dropped(messages[topics.DIAGNOSTICS]),
-        frames=_frames(messages[topics.DIAGNOSTICS], config.robots),
+        frames=frames(messages[topics.DIAGNOSTICS], config.robots),
         predicted=predicted,
     )
     refined = messages[topics.REFINED_LANDMARKS]
@@ -110,7 +110,7 @@ def dropped(messages: list[bytes]) -> dict[str, int]:
     return {}
 
 
-def _frames(messages: list[bytes], robots: tuple[str, ...]) -> dict[str, FrameCount]:
+def frames(messages: list[bytes], robots: tuple[str, ...]) -> dict[str, FrameCount]:
     """What became of each robot's frames by the fusion's last count, where it told that."""
     found: dict[str, FrameCount] = {}
     for status in _statuses(messages):

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -115,8 +116,8 @@ def assemble(
     paths: dict[str, Trajectory],
     landmarks: LandmarkMap,
     dropped: Mapping[str, int],
-    frames: Mapping[str, FrameCount],
-    predicted: Mapping[str, Estimates],
+    frames: Mapping[str, FrameCount] = MappingProxyType({}),
+    predicted: Mapping[str, Estimates] = MappingProxyType({}),
 ) -> Run:
     """Join a recording with what the filter made of it: `paths` and `landmarks` at the end.
 

@@ -38,7 +38,7 @@ def paired(events, names):
     events = list(events)
     odometry = {(e.robot, e.stamp_ns): e.pose for e in events if isinstance(e, PoseSample)}
     steps, before = {}, {}
-    for seen in (e for e in events if not isinstance(e, PoseSample)):
+    for seen in (e.decode() for e in events if not isinstance(e, PoseSample)):
         pose = odometry[seen.robot, seen.stamp_ns]
         motion = between(before.get(seen.robot, pose), pose)
         before[seen.robot] = pose
