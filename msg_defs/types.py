@@ -13,8 +13,9 @@ Symmetric 3x3 covariances are stored as six numbers in the order `xx xy xz yy yz
 Stamps are integer nanoseconds.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Annotated, Any, TypeVar, dataclass_transform
+from typing import Annotated, Any, NamedTuple, TypeVar, dataclass_transform
 
 import numpy as np
 from annotated_types import Gt
@@ -113,6 +114,16 @@ class ObservationSet:
 
 
 @dataclass(frozen=True, eq=False)
+class EncodedObservations:
+    """An `ObservationSet` that is decoded when it is needed, and otherwise never."""
+
+    robot: str
+    stamp_ns: int
+    decode: Callable[[], ObservationSet]
+    """`InputError` where the message is damaged or means nothing."""
+
+
+@dataclass(frozen=True, eq=False)
 class Sightings:
     """The S robots that one robot's stereo camera sees at one instant."""
 
@@ -137,8 +148,20 @@ class ObservationTruth:
     """(B,) uint32: row in the true `LandmarkMap`."""
 
 
-Event = PoseSample | ObservationSet | Sightings
+Frame = ObservationSet | EncodedObservations
+"""What a robot sees of the world at one instant."""
+
+Event = PoseSample | Frame | Sightings
 """What a pipeline consumes: odometry, observations, and robots seen."""
+
+
+class FrameCount(NamedTuple):
+    """What became of one robot's frames."""
+
+    seen: int
+    """Frames that could be used."""
+    used: int
+    """Those that became steps of the filter: keyframes."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -75,6 +75,35 @@ class Plausible:
 
 
 @settings
+class Keyframe:
+    """Which frames become steps of the filter: those from which something new can be seen.
+
+    Between two of them a pose is the last estimate moved by odometry (`Pipeline.predict`).
+    """
+
+    distance_m: Annotated[
+        float,
+        Ge(0),
+        "a frame becomes a step when its robot has moved so far since its last one that did [m]; "
+        "nearer by, the errors of a camera are hardly independent; 0: every frame is a step",
+    ] = 0.25
+    yaw_rad: Annotated[
+        float,
+        Ge(0),
+        "or has turned so far [rad]; a seventh of a view of 65 degrees; 0: every frame is a step",
+    ] = 0.15
+
+    @property
+    def is_on(self) -> bool:
+        """Frames may be passed over, and poses are predicted in between."""
+        return self.distance_m > 0 and self.yaw_rad > 0
+
+
+EVERY_FRAME = Keyframe(distance_m=0.0, yaw_rad=0.0)
+"""Every frame is a step, as in the paper, and poses are published at steps alone."""
+
+
+@settings
 class Config:
     """Everything the fusion needs to know before the first message."""
 
@@ -98,6 +127,7 @@ class Config:
         "instead of `mount`, for each robot: forward, left, up, roll, pitch, yaw [m, rad]",
     ] = ()
     plausible: Plausible = field(default_factory=Plausible)
+    keyframe: Keyframe = field(default_factory=Keyframe)
     filter: FilterSettings = field(default_factory=FilterSettings)
 
     def __post_init__(self) -> None:
@@ -122,6 +152,11 @@ class Config:
     def mount_of(self, robot: int) -> CameraMount:
         """Where the camera sits on the robot with this index in the team."""
         return CameraMount(*self.mounts[robot]) if self.mounts else self.mount
+
+    @property
+    def publishes_mean(self) -> bool:
+        """The particles are rejuvenated: draws from the posterior, of which none is the best."""
+        return self.filter.rejuvenation.ancestors_below > 0
 
     @property
     def apart_ns(self) -> int:

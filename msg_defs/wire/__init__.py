@@ -18,15 +18,19 @@ from msg_defs.wire.clouds import (
     encode_observations,
     encode_sightings,
 )
-from msg_defs.wire.messages import message_class, message_schema
+from msg_defs.wire.estimates import (
+    Estimates,
+    decode_estimate,
+    decode_estimates,
+    encode_estimate,
+    encode_mean,
+)
+from msg_defs.wire.messages import message_class, message_schema, peek_stamp
 from msg_defs.wire.pictures import decode_walls, encode_markers, encode_walls
 from msg_defs.wire.poses import (
-    decode_estimate,
     decode_particles,
     decode_path,
     decode_pose,
-    encode_estimate,
-    encode_mean,
     encode_particles,
     encode_path,
     encode_pose,
@@ -52,9 +56,11 @@ __all__ = [
     "OK",
     "STALE",
     "WARN",
+    "Estimates",
     "Status",
     "decode_diagnostics",
     "decode_estimate",
+    "decode_estimates",
     "decode_map",
     "decode_observation_truth",
     "decode_observations",
@@ -83,5 +89,6 @@ __all__ = [
     "encode_walls",
     "message_class",
     "message_schema",
+    "peek_stamp",
     "renamed",
 ]

@@ -1,6 +1,7 @@
 """ROS's message types, their CDR bytes, and the header all of them have."""
 
 import importlib
+import struct
 from collections.abc import Mapping
 from typing import Any
 
@@ -42,6 +43,11 @@ TFMessage = _TYPES["tf2_msgs/msg/TFMessage"]
 Marker = _TYPES["visualization_msgs/msg/Marker"]
 MarkerArray = _TYPES["visualization_msgs/msg/MarkerArray"]
 MeshFile = _TYPES["visualization_msgs/msg/MeshFile"]
+
+
+_CDR_HEADER = 4
+"""Bytes before a message: the second of them tells the byte order."""
+_STAMP_END = _CDR_HEADER + 8
 
 
 def message_type(type_name: str) -> Any:
@@ -86,7 +92,21 @@ def header_of(stamp_ns: int, frame_id: str) -> Any:
 
 def stamp_of(header: Any, what: str) -> int:
     """Stamp of a header [ns]."""
-    seconds, nanoseconds = header.stamp.sec, header.stamp.nanosec
+    return _stamp(header.stamp.sec, header.stamp.nanosec, what)
+
+
+def peek_stamp(data: bytes, what: str) -> int:
+    """Stamp [ns] of a message that begins with a header, without decoding the rest."""
+    if len(data) < _STAMP_END:
+        raise InputError(
+            f"{what}: {len(data)} bytes are no message with a stamp; check the publisher's type"
+        )
+    order = "<" if data[1] else ">"
+    seconds, nanoseconds = struct.unpack_from(order + "iI", data, _CDR_HEADER)
+    return _stamp(seconds, nanoseconds, what)
+
+
+def _stamp(seconds: int, nanoseconds: int, what: str) -> int:
     if nanoseconds >= 10**9:
         raise InputError(f"{what}: nanosec = {nanoseconds} of the stamp; it must be below 10^9")
     return seconds * 10**9 + nanoseconds

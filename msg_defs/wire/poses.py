@@ -1,15 +1,14 @@
-"""Poses in the plane: odometry, estimates, paths, particles, transforms."""
+"""Poses in the plane: odometry, paths, particles, transforms."""
 
 import math
 from collections.abc import Iterable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from msg_defs.errors import InputError
 from msg_defs.topics import MAP_FRAME, base_frame, odom_frame
-from msg_defs.types import Estimate, PoseSample, Trajectory
+from msg_defs.types import PoseSample, Trajectory
 from msg_defs.wire.messages import (
     Odometry,
     Path,
@@ -18,7 +17,6 @@ from msg_defs.wire.messages import (
     PoseArray,
     PoseStamped,
     PoseWithCovariance,
-    PoseWithCovarianceStamped,
     Quaternion,
     TFMessage,
     Transform,
@@ -34,10 +32,10 @@ from msg_defs.wire.messages import (
     stamp_of,
 )
 
-_PLANAR = np.ix_((0, 1, 5), (0, 1, 5))
+PLANAR = np.ix_((0, 1, 5), (0, 1, 5))
 """Where x, y, yaw are among x, y, z, roll, pitch, yaw."""
 
-_UNIT_TOLERANCE = 1e-3
+UNIT_TOLERANCE = 1e-3
 """How far the norm of a quaternion may be from 1."""
 
 
@@ -61,33 +59,10 @@ def decode_pose(data: bytes, robot: str) -> PoseSample:
     message = decode(Odometry, data, what)
     require_frame(message.header.frame_id, (odom_frame(robot), MAP_FRAME), what)
     require_frame(message.child_frame_id, (base_frame(robot),), what, "child_frame_id")
-    pose, covariance = _planar_with_covariance(message.pose, what)
+    pose, covariance = planar_with_covariance(message.pose, what)
     twist = np.array([message.twist.twist.linear.x, message.twist.twist.angular.z])
     require_finite(twist, what, "twist (forward, yaw rate)")
     return PoseSample(robot, stamp_of(message.header, what), pose, twist, covariance)
-
-
-def encode_estimate(estimate: Estimate) -> bytes:
-    """PoseWithCovarianceStamped of the best particle in `map`."""
-    pose = _covariant_pose(estimate.pose, estimate.covariance)
-    return encode(PoseWithCovarianceStamped(header_of(estimate.stamp_ns, MAP_FRAME), pose))
-
-
-def encode_mean(estimate: Estimate) -> bytes:
-    """PoseWithCovarianceStamped of the particles' mean in `map`; `ValueError` without one."""
-    if estimate.mean is None:
-        raise ValueError(f"the estimate of {estimate.robot} has no mean")
-    return encode_estimate(replace(estimate, pose=estimate.mean))
-
-
-def decode_estimate(data: bytes, robot: str) -> Estimate:
-    """The message of `encode_estimate`, or of `encode_mean` with the mean as the pose."""
-    what = f"estimate of {robot}"
-    message = decode(PoseWithCovarianceStamped, data, what)
-    require_frame(message.header.frame_id, (MAP_FRAME,), what)
-    return Estimate(
-        robot, stamp_of(message.header, what), *_planar_with_covariance(message.pose, what)
-    )
 
 
 def encode_path(path: Trajectory, stamp_ns: int) -> bytes:
@@ -151,7 +126,7 @@ def _planar(pose: Any, what: str) -> tuple[float, float, float]:
 def _yaw(q: Any, what: str) -> float:
     """Rotation about z of the convention yaw, pitch, roll."""
     norm = math.hypot(q.x, q.y, q.z, q.w)
-    if not abs(norm - 1) <= _UNIT_TOLERANCE:
+    if not abs(norm - 1) <= UNIT_TOLERANCE:
         raise InputError(
             f"{what}: quaternion x, y, z, w = {q.x}, {q.y}, {q.z}, {q.w} has the norm {norm:g}; "
             "publish unit quaternions"
@@ -165,12 +140,13 @@ def _planar_rows(poses: Iterable[Any], what: str) -> np.ndarray:
 
 def _covariant_pose(pose: np.ndarray, covariance: np.ndarray) -> Any:
     spatial = np.zeros((6, 6))
-    spatial[_PLANAR] = covariance
+    spatial[PLANAR] = covariance
     return PoseWithCovariance(spatial_pose(pose), spatial.ravel())
 
 
-def _planar_with_covariance(pose: Any, what: str) -> tuple[np.ndarray, np.ndarray]:
-    covariance = pose.covariance.reshape(6, 6)[_PLANAR].astype(np.float64)
+def planar_with_covariance(pose: Any, what: str) -> tuple[np.ndarray, np.ndarray]:
+    """x, y [m], yaw [rad] (3,) and their covariance (3, 3) of a PoseWithCovariance."""
+    covariance = pose.covariance.reshape(6, 6)[PLANAR].astype(np.float64)
     require_finite(covariance, what, "covariance")
     scaled = covariance / (np.abs(covariance).max() or 1.0)
     symmetric = np.abs(scaled - scaled.T).max() <= 1e-6

@@ -21,7 +21,7 @@ from msg_defs.types import (
     Trajectory,
 )
 from multi_robot_slam.bags import BagWriter
-from multi_robot_slam.config import SECTION, Config
+from multi_robot_slam.config import EVERY_FRAME, SECTION, Config
 from multi_robot_slam.datasets.dead_reckoning import poses_at, twists_at
 from multi_robot_slam.datasets.recording import Noise, Recording, RobotLog
 from multi_robot_slam.datasets.views import Views, views
@@ -147,7 +147,8 @@ def configuration(
 ) -> Config:
     """What the filter is told: true poses at the start, noise and mount from the data sheet.
 
-    But for `REJUVENATION` and the gate the settings are the filter's defaults. No truth goes into
+    Every frame is a step: commands stand in for odometry, and do not tell whether a robot moved.
+    But for `REJUVENATION` and the gate the other settings are the defaults. No truth goes into
     the gate; that it is taken instead of the default was decided after both had been compared with
     the truth of two recordings (docs/results.md). It is the default widened
     (`joining.widened_gate`): with 99 % probability not one of all `observations` is refused, where
@@ -161,6 +162,7 @@ def configuration(
         start_poses=tuple((float(x), float(y), float(yaw)) for x, y, yaw in starts),
         mount=recording.mount,
         sightings=with_sightings,
+        keyframe=EVERY_FRAME,
         filter=FilterSettings(
             gate=joining.widened_gate(FilterSettings().gate, observations),
             rejuvenation=REJUVENATION,

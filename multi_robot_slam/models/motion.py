@@ -1,5 +1,6 @@
 """Odometry increments and the motion model's noise (7)."""
 
+import math
 from typing import Annotated
 
 import numpy as np
@@ -87,6 +88,27 @@ def spread(motion: np.ndarray, seconds: float, noise: MotionSettings) -> np.ndar
             yaw,
         ]
     )
+
+
+def predicted(
+    pose: np.ndarray,
+    covariance: np.ndarray,
+    motion: np.ndarray,
+    seconds: float,
+    noise: MotionSettings,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pose (3,) and covariance (3, 3) after `motion` (3,) that took `seconds`: (7), to first order.
+
+    `motion` is seen from `pose`, in which its noise acts; `pose` has the `covariance`.
+    """
+    (x, y, yaw), (forward, left, turn) = pose.tolist(), motion.tolist()
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    dx, dy = cos * forward - sin * left, sin * forward + cos * left
+    by_pose = np.array([[1.0, 0.0, -dy], [0.0, 1.0, dx], [0.0, 0.0, 1.0]])
+    by_noise = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    by_noise *= standard_deviations(motion, seconds, noise)
+    grown = by_pose @ covariance @ by_pose.T + by_noise @ by_noise.T
+    return np.array([x + dx, y + dy, wrap(yaw + turn)]), grown
 
 
 def move(poses: np.ndarray, motions: np.ndarray) -> None:

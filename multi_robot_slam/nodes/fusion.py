@@ -17,7 +17,7 @@ from msg_defs.ros.endpoints import Audience, subscribe
 from msg_defs.ros.parameters import declare
 from msg_defs.ros.spin import SPIN_TIMEOUT_S, EdgeNode, spin
 from msg_defs.ros.usage import Usage
-from msg_defs.types import StepRecord, settings
+from msg_defs.types import Event, PoseSample, StepRecord, settings
 from multi_robot_slam.config import SECTION, Config
 from multi_robot_slam.nodes.health import Health
 from multi_robot_slam.nodes.inbox import Inbox, Message
@@ -145,7 +145,14 @@ class Fusion(EdgeNode):
             if self._rewind.note(event):
                 self._start_over()
             else:
-                self._publish_steps(self._pipeline.handle(event))
+                self._take(event)
+
+    def _take(self, event: Event) -> None:
+        """Hand an event to the pipeline, and publish what comes of it."""
+        self._publish_steps(self._pipeline.handle(event))
+        prediction = self._pipeline.predict(event)
+        if prediction and isinstance(event, PoseSample):
+            self._outputs.prediction(prediction, event.pose)
 
     def _start_over(self) -> None:
         """End one run, and begin another with what has come of it already."""
@@ -157,7 +164,7 @@ class Fusion(EdgeNode):
         self._health.start_over()
         for event in beginning:
             self._rewind.note(event)
-            self._publish_steps(self._pipeline.handle(event))
+            self._take(event)
 
     def _publish_steps(self, steps: list[StepRecord]) -> None:
         for step in steps:
@@ -177,7 +184,9 @@ class Fusion(EdgeNode):
         for line in self._silence.news(self._published_by_others):
             self.get_logger().warning(line)
         dropped, pending = self._pipeline.dropped, self._pipeline.pending
-        statuses = self._health.statuses(len(self._inbox), pending, dropped, self._silence.told)
+        statuses = self._health.statuses(
+            len(self._inbox), pending, dropped, self._silence.told, self._pipeline.frames()
+        )
         self._outputs.diagnostics(self.get_clock().now().nanoseconds, statuses)
 
     def _published_by_others(self) -> dict[str, str]:

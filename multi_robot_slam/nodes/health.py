@@ -2,12 +2,12 @@
 
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from msg_defs import wire
-from msg_defs.types import StepRecord
+from msg_defs.types import FrameCount, StepRecord
 from multi_robot_slam.pipeline.pipeline import FAILED_STEP
 
 
@@ -34,7 +34,7 @@ class Health:
         """Forget the steps."""
         self.landmarks = 0
         self.step: StepRecord | None = None
-        self._frames = dict.fromkeys(self._heard_s, 0)
+        self._frames_told = 0
         self._failed_told = 0
         self._forgive(0)
 
@@ -46,8 +46,6 @@ class Health:
         """A step was done, and so much was lost by then."""
         self.step = step
         self._forgive(lost)
-        for frame in step.frames:
-            self._frames[frame.robot] += 1
 
     def progress(self) -> str:
         """One line about the last step."""
@@ -64,15 +62,22 @@ class Health:
         return self._clock() - max(self._heard_s.values())
 
     def statuses(
-        self, queued: int, pending: int, dropped: Counter[str], unheard: dict[str, str]
+        self,
+        queued: int,
+        pending: int,
+        dropped: Counter[str],
+        unheard: dict[str, str],
+        frames: Mapping[str, FrameCount],
     ) -> list[wire.Status]:
         """One status for the filter, one for each robot.
 
         Parameters
         ----------
         unheard : what to say of topics on which nothing was ever heard, by name.
+        frames : what became of each robot's frames.
 
         """
+        self._note_frames(sum(count.seen for count in frames.values()), dropped.total())
         values = {
             "steps": self.step.step if self.step else 0,
             "landmarks": self.landmarks,
@@ -85,7 +90,14 @@ class Health:
             **{f"unheard: {name}": text for name, text in sorted(unheard.items())},
         }
         filter_status = wire.Status("fusion", _texts(values), *self._level(dropped))
-        return [filter_status, *(self._robot_status(robot) for robot in self._heard_s)]
+        robots = [self._robot_status(robot, frames[robot]) for robot in self._heard_s]
+        return [filter_status, *robots]
+
+    def _note_frames(self, seen: int, lost: int) -> None:
+        """Frames that could be used are no losses, whether or not they became steps."""
+        if seen > self._frames_told:
+            self._forgive(lost)
+        self._frames_told = seen
 
     def _level(self, dropped: Counter[str]) -> tuple[int, str]:
         """Level and message: the worst first."""
@@ -113,11 +125,15 @@ class Health:
             self._forgive(lost)
         return self._lost_last_s - self._loses_since_s > self._silent_s
 
-    def _robot_status(self, robot: str) -> wire.Status:
+    def _robot_status(self, robot: str, frames: FrameCount) -> wire.Status:
         silence_s = self._clock() - self._heard_s[robot]
         is_silent = silence_s > self._silent_s
         level, message = (wire.WARN, "silent") if is_silent else (wire.OK, "heard")
-        values = {"last heard [s ago]": f"{silence_s:.1f}", "frames": self._frames[robot]}
+        values = {
+            "last heard [s ago]": f"{silence_s:.1f}",
+            "frames": frames.seen,
+            "keyframes": frames.used,
+        }
         return wire.Status(f"fusion: {robot}", _texts(values), level, message, robot)
 
 

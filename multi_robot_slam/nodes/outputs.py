@@ -54,6 +54,12 @@ class Outputs:
                 odometry = pipeline.odometry_pose(estimate.robot)
                 self._publish(topics.TF, _transform(estimate, odometry))
 
+    def prediction(self, estimate: Estimate, odometry: np.ndarray) -> None:
+        """Publish where a robot has gone since its last step, when its `odometry` (3,) came."""
+        self._publish(topics.pose(estimate.robot), wire.encode_estimate(estimate))
+        if topics.TF in self._publishers:
+            self._publish(topics.TF, _transform(estimate, odometry))
+
     def pictures(self, stamp_ns: int, pipeline: Pipeline) -> int:
         """Publish map, paths and particles; the number of landmarks."""
         landmarks, paths = pipeline.landmark_map(), pipeline.trajectories()

@@ -12,17 +12,12 @@ from multi_robot_slam.models.frames import Record
 from multi_robot_slam.models.motion import wrap
 
 
-def draws(config: Config) -> bool:
-    """The particles are rejuvenated: draws from the posterior, of which none is the best."""
-    return config.filter.rejuvenation.ancestors_below > 0
-
-
 def landmark_map(state: State, config: Config) -> LandmarkMap:
     """The best particle's map (17); where it draws, what all make of its landmarks."""
     landmarks = state.landmarks
     best = rbpf.best_particle(state)
     columns, values = landmarks.of_particle(best)
-    if draws(config):
+    if config.publishes_mean:
         values = landmarks.mixture(columns, resampling.normalise(state.log_weights))
     ids = landmarks.ids[columns]
     lineage = list(state.history.lineage(best))

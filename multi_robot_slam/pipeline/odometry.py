@@ -73,6 +73,11 @@ class Odometry:
         return -1 if self._last is None else self._last.stamp_ns
 
     @property
+    def newest(self) -> PoseSample | None:
+        """The last sample that was taken and is not doubted."""
+        return self._last
+
+    @property
     def used_pose(self) -> np.ndarray:
         """(3,): the robot's pose in its own frame `odom` at the last frame that was used."""
         return self._pose_in_odom
@@ -108,13 +113,30 @@ class Odometry:
             self._tell(sample, JUMP)
         self._doubted.clear()
 
+    def at(self, stamp_ns: int) -> np.ndarray:
+        """The pose (3,), interpolated at `stamp_ns`; before the first sample, the first.
+
+        In the frame of the first sample of all. Odometry must have reached `stamp_ns`, and no
+        stamp before it is asked for any more.
+        """
+        samples = self._samples
+        while len(samples) > 1 and samples[1].stamp_ns <= stamp_ns:
+            samples.popleft()
+        first = samples[0]
+        if len(samples) == 1 or first.stamp_ns >= stamp_ns:
+            return first.pose
+        share = (stamp_ns - first.stamp_ns) / (samples[1].stamp_ns - first.stamp_ns)
+        difference = samples[1].pose - first.pose
+        difference[2] = wrap(difference[2])
+        return first.pose + share * difference
+
     def motion_to(self, stamp_ns: int) -> tuple[np.ndarray, float]:
         """Motion (3,) since the frame that was used last, and how long it took [s].
 
-        The first frame asked for is where the robot starts, whether or not it can be used. Odometry
-        must have reached `stamp_ns`, and no frame before it is asked for any more.
+        The first frame asked for is where the robot starts, whether or not it can be used. See
+        `at` for `stamp_ns`.
         """
-        pose = self._at(stamp_ns)
+        pose = self.at(stamp_ns)
         self._reached = stamp_ns, pose
         self._reached_in_odom = self._samples[0].in_odom(pose)
         if self._used is None:
@@ -122,6 +144,17 @@ class Odometry:
             return np.zeros(3), 0.0
         used_ns, used_pose = self._used
         return increment(used_pose, pose), (stamp_ns - used_ns) / 1e9
+
+    def motion_to_newest(self) -> tuple[np.ndarray, float]:
+        """Motion (3,) from the frame that was used last to the newest sample, and how long [s].
+
+        There must have been such a frame; the time is negative where the sample is older.
+        """
+        if self._used is None:
+            raise ValueError("no frame was used yet")
+        used_ns, used_pose = self._used
+        newest = self._samples[-1]
+        return increment(used_pose, newest.pose), (newest.stamp_ns - used_ns) / 1e9
 
     def use(self) -> None:
         """The motion asked for last was used: the next one begins where it ended."""
@@ -158,19 +191,6 @@ class Odometry:
         for sample in self._doubted:
             self._keep(sample)
         self._doubted.clear()
-
-    def _at(self, stamp_ns: int) -> np.ndarray:
-        """Odometry interpolated at `stamp_ns`; before the first sample, the first."""
-        samples = self._samples
-        while len(samples) > 1 and samples[1].stamp_ns <= stamp_ns:
-            samples.popleft()
-        first = samples[0]
-        if len(samples) == 1 or first.stamp_ns >= stamp_ns:
-            return first.pose
-        share = (stamp_ns - first.stamp_ns) / (samples[1].stamp_ns - first.stamp_ns)
-        difference = samples[1].pose - first.pose
-        difference[2] = wrap(difference[2])
-        return first.pose + share * difference
 
 
 def _composed(pose: np.ndarray, motion: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ from pathlib import Path
 from msg_defs import scenario_file, topics, wire
 from msg_defs.errors import InputError
 from msg_defs.topics import Topic
-from msg_defs.types import Event, StepRecord
+from msg_defs.types import Estimate, Event, StepRecord
 from multi_robot_slam import runs
 from multi_robot_slam.bags import BagReader, absolute
 from multi_robot_slam.config import SECTION, Config
@@ -100,14 +100,19 @@ def estimate(
     """
     pipeline = Pipeline(config, warn)
     where = BagReader(bag).find_namespace(_inputs(config), namespace)
-    steps = run_through(pipeline, events(bag, config, pipeline.refuse, where), on_step)
-    run = assemble(pipeline, runs.recorded(bag, config.robots, where), steps)
+    predictions = runs.Predictions()
+    sent = events(bag, config, pipeline.refuse, where)
+    steps = run_through(pipeline, sent, on_step, predictions.add)
+    run = assemble(pipeline, runs.recorded(bag, config.robots, where), steps, predictions)
     run = replace(run, provenance=runs.here(scenario))
     return refinement.complete(run, pipeline, with_refined=refine)
 
 
 def run_through(
-    pipeline: Pipeline, sent: Iterable[Event], on_step: OnStep = lambda step: None
+    pipeline: Pipeline,
+    sent: Iterable[Event],
+    on_step: OnStep = lambda step: None,
+    on_prediction: Callable[[Estimate], None] = lambda estimate: None,
 ) -> list[StepRecord]:
     """Feed the pipeline with all events that were `sent`, and end it; the steps."""
     steps = []
@@ -116,11 +121,21 @@ def run_through(
         for step in done:
             on_step(step)
         steps += done
+        if prediction := pipeline.predict(event):
+            on_prediction(prediction)
     return steps + pipeline.finish()
 
 
-def assemble(pipeline: Pipeline, recording: runs.Recorded, steps: list[StepRecord]) -> runs.Run:
-    """The run of a pipeline that has ended: what it made in these `steps` of the recording."""
+def assemble(
+    pipeline: Pipeline,
+    recording: runs.Recorded,
+    steps: list[StepRecord],
+    predictions: runs.Predictions,
+) -> runs.Run:
+    """The run of a pipeline that has ended: what it made in these `steps` of the recording.
+
+    `predictions` are what it published in between.
+    """
     return runs.assemble(
         pipeline.config,
         recording,
@@ -128,6 +143,8 @@ def assemble(pipeline: Pipeline, recording: runs.Recorded, steps: list[StepRecor
         pipeline.trajectories(),
         pipeline.landmark_map(),
         pipeline.dropped,
+        pipeline.frames(),
+        predictions.by_robot(),
     )
 
 

@@ -9,6 +9,8 @@ import numpy as np
 from msg_defs.types import (
     DESCRIPTOR_SIZE,
     Event,
+    Frame,
+    FrameCount,
     ObservationSet,
     PoseSample,
     Sightings,
@@ -27,10 +29,11 @@ class RobotInputs:
     def __init__(self, index: int, config: Config, drop: Callable[[Event, Refusal], None]) -> None:
         self.index = index
         self.name = config.robots[index]
-        self.waiting: deque[ObservationSet] = deque()
+        self.waiting: deque[Frame] = deque()
         self.newest_ns = -1
         """Stamp of the newest frame heard of, used or not [ns]."""
         self.sightings_ns = -1
+        self.frames = FrameCount(0, 0)
         self.odometry = Odometry(config.plausible, drop)
         self._drop = drop
         self._mount = config.mount_of(index)
@@ -78,19 +81,20 @@ class RobotInputs:
         while self._sightings and self._sightings[0].stamp_ns <= until_ns:
             self._drop(self._sightings.popleft(), NO_FRAME)
 
-    def frame(self, stamp_ns: int, sightings: Sightings | None) -> RobotFrame:
-        """The frame at `stamp_ns`, empty if none is waiting, with the motion since the one before.
+    def frame(
+        self, stamp_ns: int, observations: ObservationSet | None, sightings: Sightings | None
+    ) -> RobotFrame:
+        """The frame at `stamp_ns`, with the motion since the one used before.
 
-        Odometry must have reached `stamp_ns`.
+        Without `observations` it is an empty one. Odometry must have reached `stamp_ns`.
         """
-        if self.waiting and self.waiting[0].stamp_ns == stamp_ns:
-            observations = self.waiting.popleft()
-        else:
-            observations = _nothing(self.name, stamp_ns)
         motion, seconds = self.odometry.motion_to(stamp_ns)
-        return RobotFrame.from_camera(
-            self.index, motion, seconds, observations, self._mount, sightings
-        )
+        seen = _nothing(self.name, stamp_ns) if observations is None else observations
+        return RobotFrame.from_camera(self.index, motion, seconds, seen, self._mount, sightings)
+
+    def count(self, seen: int = 0, used: int = 0) -> None:
+        """Frames that were seen or used, besides those counted before."""
+        self.frames = FrameCount(self.frames.seen + seen, self.frames.used + used)
 
 
 def only(sightings: Sightings | None, robots: Collection[int]) -> Sightings | None:

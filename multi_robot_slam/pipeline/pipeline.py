@@ -13,16 +13,28 @@ from collections.abc import Callable, Iterable
 import numpy as np
 
 from msg_defs.errors import InputError
-from msg_defs.types import Event, LandmarkMap, ObservationSet, StepRecord, Trajectory
+from msg_defs.types import (
+    Estimate,
+    Event,
+    Frame,
+    FrameCount,
+    LandmarkMap,
+    ObservationSet,
+    PoseSample,
+    StepRecord,
+    Trajectory,
+)
 from multi_robot_slam.config import Config
 from multi_robot_slam.filter import running
 from multi_robot_slam.filter.running import FAILURES, ParticleFilter
+from multi_robot_slam.models import motion
 from multi_robot_slam.models.frames import Record, RobotFrame
 from multi_robot_slam.pipeline import estimates, plausibility
 from multi_robot_slam.pipeline.plausibility import Refusal
 from multi_robot_slam.pipeline.records import step_record
 from multi_robot_slam.pipeline.reorder import Reorder
 from multi_robot_slam.pipeline.time_guard import TimeGuard
+from multi_robot_slam.smoothing.odometry_scale import scaled
 
 FAILED_STEP = "failed step"
 FAR_AHEAD = Refusal("stamp far ahead", "synchronise the robots' clocks, or raise reorder_window_s")
@@ -56,7 +68,9 @@ class Pipeline:
             keeps_frames,
         )
         self._guard = TimeGuard(config.apart_ns, lambda event: self._drop(event, FAR_AHEAD))
-        self._reorder = Reorder(config, self._drop)
+        self._reorder = Reorder(config, self._drop, self._opened)
+        self._estimates: dict[str, Estimate] = {}
+        """Each robot's estimate of the last step it had a frame in."""
 
     def warm_up(self) -> None:
         """Compile the filter's kernels, or load them from the cache."""
@@ -74,14 +88,36 @@ class Pipeline:
                 event, Refusal("unknown robot", f"the team is {', '.join(self.config.robots)}")
             )
             return []
-        if isinstance(event, ObservationSet):
-            event = self._thinned(event)
         return self._handle_all(self._guard.admit(event))
 
     def finish(self) -> list[StepRecord]:
         """Filter what is still held back; frames whose odometry never came are dropped."""
         steps = self._handle_all(self._guard.rest())
         return steps + self._filter(self._reorder.rest())
+
+    def predict(self, event: Event) -> Estimate | None:
+        """Where the odometry that was handled last has taken its robot since its last step.
+
+        The estimate of that step, moved along, its covariance grown by (7). None for other events,
+        for a sample that was not taken or is not newer than the step, and where every frame is a
+        step (`Keyframe`).
+        """
+        before = self._estimates.get(event.robot)
+        if before is None or not isinstance(event, PoseSample) or not self.config.keyframe.is_on:
+            return None
+        robot = self.config.robots.index(event.robot)
+        odometry = self._reorder.robots[robot].odometry
+        if event is not odometry.newest or event.stamp_ns <= before.stamp_ns:
+            return None
+        moved, seconds = odometry.motion_to_newest()
+        moved = scaled(moved, self._particles.state.scales.factors[robot])
+        noise = self.config.filter.motion
+        where = motion.predicted(before.pose, before.covariance, moved, seconds, noise)
+        return Estimate(event.robot, event.stamp_ns, *where)
+
+    def frames(self) -> dict[str, FrameCount]:
+        """How many frames of each robot could be used, and how many became steps."""
+        return {robot.name: robot.frames for robot in self._reorder.robots}
 
     def lose(self, reason: str, text: str, count: int = 1) -> None:
         """Count and tell of what was lost before it became an event."""
@@ -126,7 +162,8 @@ class Pipeline:
     def _handle_all(self, events: Iterable[Event]) -> list[StepRecord]:
         steps = []
         for event in events:
-            refusal = plausibility.refusal(event, self.config.plausible)
+            limits = self.config.plausible  # frames are held to them when they are used
+            refusal = None if isinstance(event, Frame) else plausibility.refusal(event, limits)
             if refusal:
                 self._reorder.hear(event)
                 self._drop(event, refusal)
@@ -145,13 +182,26 @@ class Pipeline:
             except FAILURES as error:
                 self._tell_of_failure(frames, error)
                 continue
-            for frame in frames:
-                self._reorder.robots[frame.robot].odometry.use()
+            self._reorder.use(frames)
             for reason in info.rejuvenated.failures if info.rejuvenated else ():
                 self._tell_of_no_smoothing(frames[0].stamp_ns, reason)
             took_ms = (time.perf_counter() - start) * 1e3
             steps.append(step_record(self.config, self._particles.state, frames, info, took_ms))
+            self._estimates |= {estimate.robot: estimate for estimate in steps[-1].estimates}
         return steps
+
+    def _opened(self, frame: Frame) -> ObservationSet | None:
+        """What a frame holds; None, counted and told, where it means nothing or cannot be true."""
+        try:
+            seen = frame if isinstance(frame, ObservationSet) else frame.decode()
+        except InputError as error:
+            self.refuse(error)
+            return None
+        seen = self._thinned(seen)
+        refusal = plausibility.refusal(seen, self.config.plausible)
+        if refusal:
+            self._drop(seen, refusal)
+        return None if refusal else seen
 
     def _thinned(self, seen: ObservationSet) -> ObservationSet:
         result = plausibility.thinned(seen, self.config.plausible)

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from msg_defs.types import Event, ObservationSet, PoseSample, Sightings
+from msg_defs.types import ObservationSet, PoseSample, Sightings
 from multi_robot_slam.config import Plausible
 
 
@@ -18,7 +18,7 @@ class Refusal(NamedTuple):
     """The value, and what to do."""
 
 
-def refusal(event: Event, limits: Plausible) -> Refusal | None:
+def refusal(event: PoseSample | ObservationSet | Sightings, limits: Plausible) -> Refusal | None:
     """What lies outside the `limits`; None where nothing does."""
     if isinstance(event, PoseSample):
         return _of_odometry(event, limits)

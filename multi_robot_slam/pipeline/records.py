@@ -10,7 +10,7 @@ from multi_robot_slam.filter import rbpf
 from multi_robot_slam.filter.matching import FrameInfo
 from multi_robot_slam.filter.state import State
 from multi_robot_slam.models.frames import RobotFrame
-from multi_robot_slam.pipeline.estimates import draws, wrapped
+from multi_robot_slam.pipeline.estimates import wrapped
 
 
 def step_record(
@@ -34,7 +34,7 @@ def step_record(
             Estimate(
                 robot=config.robots[frame.robot],
                 stamp_ns=frame.stamp_ns,
-                pose=wrapped(mean if draws(config) else state.poses[frame.robot, :, best]),
+                pose=wrapped(mean if config.publishes_mean else state.poses[frame.robot, :, best]),
                 covariance=covariance,
                 mean=wrapped(mean),
             )

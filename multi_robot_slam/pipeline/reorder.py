@@ -2,16 +2,21 @@
 
 A frame waits until every active robot has sent one at least as new, or until the newest is
 `reorder_window_s` ahead. Time is message time throughout, so a recorded run gives the live run's
-estimates. Frames of one stamp make one step. A robot that is seen without a frame of its own at
-that instant gets one without observations.
+estimates. Keyframes of one stamp make one step (`keyframes`); the other frames are passed over, not
+even decoded. Each robot that is seen in a keyframe has a frame in the step, too: its own of that
+instant, or one without observations.
 """
 
-from collections.abc import Callable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 
-from msg_defs.types import Event, ObservationSet, PoseSample, Sightings
+import numpy as np
+
+from msg_defs.types import Event, Frame, ObservationSet, PoseSample, Sightings
 from multi_robot_slam.config import Config
 from multi_robot_slam.models.frames import RobotFrame
-from multi_robot_slam.pipeline.pairing import RobotInputs, only
+from multi_robot_slam.pipeline.keyframes import Keyframes
+from multi_robot_slam.pipeline.pairing import NO_FRAME, RobotInputs, only
 from multi_robot_slam.pipeline.plausibility import Refusal
 
 LATE_REMEDY = "raise reorder_window_s, or synchronise the robots' clocks"
@@ -26,11 +31,21 @@ class Reorder:
     Parameters
     ----------
     drop : called with each event that cannot be used, and why.
+    open_frame : decodes and checks a frame that is to be used; None, and dropped, if it cannot be.
 
     """
 
-    def __init__(self, config: Config, drop: Callable[[Event, Refusal], None]) -> None:
+    def __init__(
+        self,
+        config: Config,
+        drop: Callable[[Event, Refusal], None],
+        open_frame: Callable[[Frame], ObservationSet | None],
+    ) -> None:
         self._drop = drop
+        self._open = open_frame
+        self._keyframes = Keyframes(config.keyframe)
+        self._with_cloud: set[int] = set()
+        """Of the frames given out last, the robots whose frame is a cloud."""
         self._window_ns = int(config.reorder_window_s * 1e9)
         self.robots = [RobotInputs(index, config, drop) for index in range(len(config.robots))]
         self._by_name = {robot.name: robot for robot in self.robots}
@@ -47,7 +62,7 @@ class Reorder:
         if self._first_ns is None:
             self._first_ns = event.stamp_ns
         robot = self._by_name[event.robot]
-        if isinstance(event, ObservationSet):
+        if isinstance(event, Frame):
             robot.newest_ns = max(robot.newest_ns, event.stamp_ns)
 
     def take(self, event: Event) -> None:
@@ -71,6 +86,16 @@ class Reorder:
             robot.odometry.drop_doubted()
             while robot.waiting:
                 self._drop(robot.waiting.popleft(), NO_ODOMETRY)
+
+    def use(self, frames: Iterable[RobotFrame]) -> None:
+        """The frames given out last were used: the next motions begin where they ended."""
+        for frame in frames:
+            robot = self.robots[frame.robot]
+            robot.odometry.use()
+            if frame.robot in self._with_cloud:
+                robot.count(seen=1, used=1)
+                others = self._places(frame.sightings.others, frame.stamp_ns)
+                self._keyframes.use(frame.robot, robot.odometry.at(frame.stamp_ns), others)
 
     def _refusal(self, robot: RobotInputs, event: Event) -> Refusal | None:
         """Why an event cannot be used, and the remedy."""
@@ -116,27 +141,71 @@ class Reorder:
                     self._drop(robot.waiting.popleft(), LATE_FRAME)
             else:
                 self._given_out_ns = stamp
-                yield self._frames(stamp, together)
+                if frames := self._frames(stamp, together):
+                    yield frames
 
     def _frames(self, stamp_ns: int, robots: list[RobotInputs]) -> list[RobotFrame]:
-        """The frames of `robots`, and one without observations of each other robot they see."""
-        seen_by = {r.index: r.sightings_at(stamp_ns) for r in robots}
+        """The keyframes among the oldest frames of `robots`, and a frame of each robot they see."""
+        clouds = {robot.index: robot.waiting.popleft() for robot in robots}
+        sightings = {r.index: own for r in robots if (own := r.sightings_at(stamp_ns))}
         for robot in self.robots:
             robot.drop_sightings(stamp_ns)
-        seen = {int(n) for own in seen_by.values() if own for n in own.others} - seen_by.keys()
-        placed = {n for n in seen if self.robots[n].odometry.newest_ns >= stamp_ns}
-        for own in filter(None, seen_by.values()):
-            self._tell_of_unplaced(own, seen - placed)
-        known = seen_by.keys() | placed
+        chosen = self._choose(stamp_ns, clouds, sightings)
+        self._with_cloud = {index for index, seen in chosen.items() if seen is not None}
+        for index in clouds:
+            self.robots[index].count(seen=1)
+        for index in sorted(self._with_cloud & sightings.keys()):
+            self._tell_of_unplaced(sightings[index])
         return [
-            robot.frame(stamp_ns, only(seen_by.get(robot.index), known))
+            robot.frame(
+                stamp_ns, chosen[robot.index], only(sightings.get(robot.index), chosen.keys())
+            )
             for robot in self.robots
-            if robot.index in known
+            if robot.index in chosen
         ]
 
-    def _tell_of_unplaced(self, sightings: Sightings, unplaced: set[int]) -> None:
-        """Count and tell of sightings of robots (indices in the team) whose place is unknown."""
-        lost = sorted(unplaced & set(sightings.others.tolist()))
+    def _choose(
+        self, stamp_ns: int, clouds: dict[int, Frame], sightings: dict[int, Sightings]
+    ) -> dict[int, ObservationSet | None]:
+        """What each robot observes that has a frame in the step; None where it has no cloud.
+
+        Clouds that are looked at are taken out of `clouds`; those of frames that are passed over
+        stay. Sightings whose cloud cannot be used are dropped from `sightings`.
+        """
+        places = {index: self._places(own.others, stamp_ns) for index, own in sightings.items()}
+        chosen: dict[int, ObservationSet | None] = {}
+        todo = deque(
+            (index, False)
+            for index in clouds
+            if self._keyframes.is_due(
+                index, self.robots[index].odometry.at(stamp_ns), places.get(index, {})
+            )
+        )
+        while todo:
+            index, is_seen = todo.popleft()
+            if index in chosen:
+                continue
+            observations = self._open(clouds.pop(index)) if index in clouds else None
+            if observations is not None:
+                todo.extend((other, True) for other in places.get(index, {}))
+            elif index in sightings:
+                self._drop(sightings.pop(index), NO_FRAME)
+            if is_seen or observations is not None:
+                chosen[index] = observations
+        return chosen
+
+    def _places(self, robots: Iterable[int], stamp_ns: int) -> dict[int, np.ndarray]:
+        """The pose (3,) by odometry of each of the `robots` whose odometry has come so far."""
+        return {
+            int(index): self.robots[index].odometry.at(stamp_ns)
+            for index in robots
+            if self.robots[index].odometry.newest_ns >= stamp_ns
+        }
+
+    def _tell_of_unplaced(self, sightings: Sightings) -> None:
+        """Count and tell of sightings of robots whose place is unknown."""
+        placed = self._places(sightings.others, sightings.stamp_ns)
+        lost = sorted(set(sightings.others.tolist()) - placed.keys())
         if lost:
             names = ", ".join(self.robots[n].name for n in lost)
             remedy = f"it sees {names}; send odometry of every robot"

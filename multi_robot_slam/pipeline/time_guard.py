@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 
-from msg_defs.types import Event, ObservationSet
+from msg_defs.types import Event, Frame
 
 MOST_HELD = 1000
 """Events held back while others speak; the clock of a robot that fills this is wrong for good."""
@@ -48,7 +48,7 @@ class TimeGuard:
     @property
     def pending(self) -> int:
         """Frames held back."""
-        return sum(isinstance(event, ObservationSet) for event in self._held)
+        return sum(isinstance(event, Frame) for event in self._held)
 
     def admit(self, event: Event) -> list[Event]:
         """Take one event; those that are believed now, in the order they came."""
@@ -135,7 +135,7 @@ class TimeGuard:
         most = MOST_HELD if self._held and self._is_answered(self._held[0]) else MOST_UNANSWERED
         excess = len(self._held) - most
         if excess > 0:
-            frames_first = sorted(self._held, key=lambda e: not isinstance(e, ObservationSet))
+            frames_first = sorted(self._held, key=lambda e: not isinstance(e, Frame))
             too_much = set(map(id, frames_first[:excess]))
             for event in frames_first[:excess]:
                 self._drop(event)

@@ -4,6 +4,7 @@ from multi_robot_slam.runs.estimates import LATER_PATHS
 from multi_robot_slam.runs.estimates import write as write_estimates
 from multi_robot_slam.runs.evaluation import evaluate
 from multi_robot_slam.runs.loading import from_bag, from_folder, is_offline, load
+from multi_robot_slam.runs.predictions import Predictions
 from multi_robot_slam.runs.provenance import Provenance, here, version
 from multi_robot_slam.runs.recording import recorded
 from multi_robot_slam.runs.result import figures_in, flat
@@ -23,6 +24,7 @@ __all__ = [
     "EMPTY",
     "LATER_PATHS",
     "TEAM",
+    "Predictions",
     "Provenance",
     "Recorded",
     "RobotRun",

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from msg_defs.wire import Estimates
 from multi_robot_slam.runs.run import Run
 from multi_robot_slam.runs.trajectory_errors import at, covers, wrap
 
@@ -23,19 +24,11 @@ def nees(errors: np.ndarray, covariances: np.ndarray) -> float | None:
 def published_errors(run: Run) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Errors (T, 3) and covariances (T, 3, 3) of the means as published, where the truth is known.
 
-    Of each robot; T counts the steps after which its mean was published.
+    Of each robot, at its steps, and between them where the pose that is predicted is the mean.
     """
     found = {}
     for name, robot in run.robots.items():
-        estimates = [
-            estimate
-            for step in run.steps
-            for estimate in step.estimates
-            if estimate.robot == name and estimate.mean is not None
-        ]
-        stamps = np.array([estimate.stamp_ns for estimate in estimates], np.int64)
-        means = np.array([estimate.mean for estimate in estimates]).reshape(-1, 3)
-        covariances = np.array([e.covariance for e in estimates]).reshape(-1, 3, 3)
+        stamps, means, covariances = _published_means(run, name)
         if robot.truth is None:
             found[name] = means[:0], covariances[:0]
             continue
@@ -44,3 +37,24 @@ def published_errors(run: Run) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         errors[:, 2] = wrap(errors[:, 2])
         found[name] = errors, covariances[known]
     return found
+
+
+def _published_means(run: Run, name: str) -> Estimates:
+    estimates = [
+        estimate
+        for step in run.steps
+        for estimate in step.estimates
+        if estimate.robot == name and estimate.mean is not None
+    ]
+    at_steps = Estimates(
+        np.array([estimate.stamp_ns for estimate in estimates], np.int64),
+        np.array([estimate.mean for estimate in estimates]).reshape(-1, 3),
+        np.array([e.covariance for e in estimates]).reshape(-1, 3, 3),
+    )
+    if not run.config.publishes_mean:
+        return at_steps
+    predicted = run.robots[name].predicted
+    is_last = ~np.isin(predicted.stamps_ns, at_steps.stamps_ns)
+    return Estimates(
+        *(np.concatenate([a, b[is_last]]) for a, b in zip(at_steps, predicted, strict=True))
+    )

@@ -46,12 +46,13 @@ def evaluate(run: Run) -> Figures:
     to its truth; `path_team_aligned_rmse_m`, `heading_team_aligned_rmse_rad`: after all together
     were, by one rotation and shift. `rte_1m_rmse_m`, `rte_1m_rmse_rad`, `rte_10m_...`: of the
     motion over so many metres (`relative_errors`), which is the same aligned or not.
-    These ten also of other paths: `odometry_...`; `online_...`, the poses as published;
-    `online_mean_...`, the means as published; `mean_...`, the mean of all particles' paths;
-    `refined_...`, smoothed over the best particle's associations; `batch_...`, the yardstick,
-    smoothed over the true ones.
+    These ten also of other paths: `odometry_...`; `online_...`, the poses as published, at steps
+    and in between; `online_mean_...`, the means as published at steps; `mean_...`, the mean of all
+    particles' paths; `refined_...`, smoothed over the best particle's associations; `batch_...`,
+    the yardstick, smoothed over the true ones.
     `truth_coverage`: share of the path's poses whose truth is known, on which these figures rest.
     `pose_nees`: normalised error of mean and covariance as published; 3 is consistent.
+    `frames`, `keyframes`: how many of its frames could be used, and how many became steps.
     `association_precision`, `association_recall`: see `association_quality`.
 
     Of the team alone:
@@ -71,7 +72,8 @@ def evaluate(run: Run) -> Figures:
     observed = associations(run)
     origin = origins(observed)
     durations = [step.duration_ms for step in run.steps]
-    for index, figures in enumerate(robots.values()):
+    for index, (name, figures) in enumerate(robots.items()):
+        figures |= _frame_figures(run, [name])
         figures |= _association_figures(observed, origin, observed.robots == index)
     return {
         **team,
@@ -81,6 +83,7 @@ def evaluate(run: Run) -> Figures:
         "step_ms_p99": float(np.percentile(durations, 99)) if durations else None,
         "step_ms_max": float(np.max(durations)) if durations else None,
         "steps": len(run.steps),
+        **_frame_figures(run, robots),
         "particles": run.config.filter.particles,
         "seed": run.config.seed,
         "bag": None if run.bag is None else str(run.bag),
@@ -89,6 +92,15 @@ def evaluate(run: Run) -> Figures:
         "dropped": dict(run.dropped),
         "robots": robots,
     }
+
+
+def _frame_figures(run: Run, names: Iterable[str]) -> Figures:
+    """What became of the frames of the robots `names`; None where it was not noted of one."""
+    counts = [run.frames.get(name) for name in names]
+    known = [count for count in counts if count is not None]
+    if len(known) < len(counts):
+        return dict.fromkeys(("frames", "keyframes"))
+    return {"frames": sum(c.seen for c in known), "keyframes": sum(c.used for c in known)}
 
 
 def _pose_figures(run: Run) -> tuple[Figures, dict[str, Figures]]:

@@ -3,12 +3,23 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from msg_defs.types import Estimate, LandmarkMap, PoseSample, StepRecord, Trajectory, Walls
+from msg_defs.types import (
+    Estimate,
+    FrameCount,
+    LandmarkMap,
+    PoseSample,
+    StepRecord,
+    Trajectory,
+    Walls,
+)
+from msg_defs.wire import Estimates
 from multi_robot_slam.config import Config
+from multi_robot_slam.runs import predictions
 from multi_robot_slam.runs.provenance import Provenance
 
 TEAM = "team"
@@ -27,7 +38,7 @@ class RobotRun:
     odometry: Trajectory
     """As recorded, in the robot's own `odom` frame."""
     online: Trajectory
-    """Poses of the best particle as published at each step."""
+    """Poses as published, at the steps and between them; of one stamp that of the step."""
     path: Trajectory
     """The best particle's whole path at the end."""
     truth: Trajectory | None = None
@@ -40,6 +51,8 @@ class RobotRun:
     """The best particle's path, smoothed over its associations."""
     yardstick: Trajectory = EMPTY
     """The best answer there is: the path smoothed over the true associations."""
+    predicted: Estimates = predictions.NONE
+    """What was published between the steps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +67,8 @@ class Run:
     steps: list[StepRecord]
     dropped: dict[str, int] = field(default_factory=dict)
     """How many messages the pipeline refused, by reason."""
+    frames: dict[str, FrameCount] = field(default_factory=dict)
+    """What became of each robot's frames; empty where nobody noted it."""
     true_landmarks: LandmarkMap | None = None
     walls: Walls | None = None
     observation_truth: dict[tuple[str, int], np.ndarray] = field(default_factory=dict)
@@ -101,19 +116,25 @@ def assemble(
     paths: dict[str, Trajectory],
     landmarks: LandmarkMap,
     dropped: Mapping[str, int],
+    frames: Mapping[str, FrameCount] = MappingProxyType({}),
+    predicted: Mapping[str, Estimates] = MappingProxyType({}),
 ) -> Run:
-    """Join a recording with what the filter made of it: `paths` and `landmarks` at the end."""
+    """Join a recording with what the filter made of it: `paths` and `landmarks` at the end.
+
+    `predicted` was published between the `steps`, of each robot.
+    """
     estimates = {name: _estimates(steps, name) for name in config.robots}
     robots = {
         name: RobotRun(
             start_pose=np.array(start),
             odometry=recording.odometry.get(name, EMPTY),
-            online=trajectory(estimates[name]),
+            online=_online(estimates[name], predicted.get(name, predictions.NONE)),
             path=paths.get(name, EMPTY),
             truth=recording.truth.get(name),
             online_mean=trajectory(
                 replace(e, pose=e.mean) for e in estimates[name] if e.mean is not None
             ),
+            predicted=predicted.get(name, predictions.NONE),
         )
         for name, start in zip(config.robots, config.start_poses, strict=True)
     }
@@ -123,6 +144,7 @@ def assemble(
         landmarks,
         steps,
         dict(dropped),
+        dict(frames),
         recording.true_landmarks,
         recording.walls,
         {
@@ -139,9 +161,23 @@ def _estimates(steps: Iterable[StepRecord], robot: str) -> list[Estimate]:
     return [e for step in steps for e in step.estimates if e.robot == robot]
 
 
+def _online(steps: list[Estimate], predicted: Estimates) -> Trajectory:
+    """All that was published by stamp; a step replaces what was predicted for its stamp."""
+    at_steps = trajectory(steps)
+    return _by_stamp(
+        np.concatenate([at_steps.stamps_ns, predicted.stamps_ns]),
+        np.concatenate([at_steps.poses, predicted.poses]),
+    )
+
+
 def trajectory(samples: Iterable[PoseSample | Estimate]) -> Trajectory:
     """One robot's samples by stamp; of several with the same stamp the first counts."""
     samples = list(samples)
-    stamps, first = np.unique([s.stamp_ns for s in samples], return_index=True)
-    poses = np.array([samples[row].pose for row in first], float).reshape(-1, 3)
-    return Trajectory(stamps.astype(np.int64), poses)
+    stamps = np.array([sample.stamp_ns for sample in samples], np.int64)
+    return _by_stamp(stamps, np.array([sample.pose for sample in samples], float).reshape(-1, 3))
+
+
+def _by_stamp(stamps_ns: np.ndarray, poses: np.ndarray) -> Trajectory:
+    """Sorted; of several with the same stamp the first counts."""
+    stamps, first = np.unique(stamps_ns, return_index=True)
+    return Trajectory(stamps, poses[first])

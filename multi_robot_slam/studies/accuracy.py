@@ -66,13 +66,14 @@ def calibrated(resample_below: float = 0.5, rest: int | None = None) -> Base:
     `rest` replaces that of the scenario's rejuvenation.
     """
     path = scenario_file.find_scenario("calibrated")
-    own = scenario_file.from_file(Config, path, SECTION).filter
-    own = replace(own, threads=1, resample_below=resample_below)
+    config = scenario_file.from_file(Config, path, SECTION)
+    own = replace(config.filter, threads=1, resample_below=resample_below)
     often = own.rejuvenation if rest is None else replace(own.rejuvenation, rest=rest)
     never = replace(own.rejuvenation, ancestors_below=0.0)
     filters = {p: replace(own, proposal=p, rejuvenation=never) for p in ("motion", "informed")}
     filters[REJUVENATED] = replace(own, rejuvenation=often)
-    return Base(scenario_file.from_file(Scenario, path, WORLD_SECTION), filters)
+    scenario = scenario_file.from_file(Scenario, path, WORLD_SECTION)
+    return Base(scenario, filters, config.keyframe)
 
 
 def filters_of(names: str) -> tuple[str, ...]:

@@ -40,13 +40,15 @@ REPEATS, QUICK_REPEATS = 20, 2
 def paper() -> Base:
     """The paper's world and parameters (Table 2). Filters use one thread: runs share the cores."""
     path = scenario_file.find_scenario("paper")
+    config = scenario_file.from_file(Config, path, SECTION)
     filters = {
-        "motion": scenario_file.from_file(Config, path, SECTION).filter,
+        "motion": config.filter,
         "informed": FilterSettings(rejuvenation=NO_REJUVENATION),
     }
     return Base(
         scenario_file.from_file(Scenario, path, WORLD_SECTION),
         {name: replace(own, threads=1) for name, own in filters.items()},
+        config.keyframe,
     )
 
 

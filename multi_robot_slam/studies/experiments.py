@@ -64,7 +64,9 @@ def run(
 
 def settings(base: Base) -> str:
     """What all rows of a table have in common, as YAML."""
-    return scenario_file.to_yaml(**{WORLD_SECTION: base.scenario, **base.filters})
+    return scenario_file.to_yaml(
+        **{WORLD_SECTION: base.scenario, **base.filters, "keyframe": base.keyframe}
+    )
 
 
 def jobs(trials: Iterable[Trial], base: Base) -> list[Job]:

@@ -7,7 +7,7 @@ import numpy as np
 
 from msg_defs.types import LandmarkMap, Trajectory, Walls
 from multi_robot_slam import runs
-from multi_robot_slam.config import Config
+from multi_robot_slam.config import Config, Keyframe
 from multi_robot_slam.filter.settings import FilterSettings
 from multi_robot_slam.pipeline import offline, refinement
 from multi_robot_slam.pipeline.pipeline import Pipeline
@@ -23,6 +23,8 @@ class Base:
     scenario: Scenario
     filters: dict[str, FilterSettings]
     """motion: the paper's. informed: this package's own, with its defaults."""
+    keyframe: Keyframe
+    """Which frames become steps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +33,8 @@ class Exploration:
 
     scenario: Scenario
     seed: int
+    keyframe: Keyframe
+    """Which frames become steps."""
     start_poses: dict[str, np.ndarray]
     instants: list[tuple[RobotStep, ...]]
     truth: dict[str, Trajectory]
@@ -53,6 +57,7 @@ def explore(base: Base, trial: Trial) -> Exploration:
     return Exploration(
         scenario,
         trial.seed,
+        base.keyframe,
         simulation.start_poses,
         list(simulation.steps()),
         {name: simulation.truth_path(name) for name in scenario.names},
@@ -71,6 +76,7 @@ def estimate(
         start_poses=tuple((float(x), float(y), float(yaw)) for x, y, yaw in starts.values()),
         seed=exploration.seed,
         mount=exploration.scenario.camera.mount,
+        keyframe=exploration.keyframe,
         filter=filter_settings,
     )
     pipeline = Pipeline(config)
@@ -81,8 +87,10 @@ def estimate(
         for robot in instant
         for event in (robot.odometry, robot.observations)
     )
-    steps = offline.run_through(pipeline, sent)
-    return offline.assemble(pipeline, _recorded(exploration), steps), pipeline
+    predictions = runs.Predictions()
+    steps = offline.run_through(pipeline, sent, on_prediction=predictions.add)
+    run = offline.assemble(pipeline, _recorded(exploration), steps, predictions)
+    return run, pipeline
 
 
 def _recorded(exploration: Exploration) -> runs.Recorded:

@@ -139,8 +139,11 @@ def _alone(config: Config, robot: int) -> Config:
 def compute(job: Job) -> list[Row]:
     """Run the filter over the bag, refine, and judge."""
     pipeline = Pipeline(job.config)
-    steps = offline.run_through(pipeline, offline.events(job.bag, job.config))
-    run = offline.assemble(pipeline, runs.recorded(job.bag, job.config.robots), steps)
+    predictions = runs.Predictions()
+    sent = offline.events(job.bag, job.config)
+    steps = offline.run_through(pipeline, sent, on_prediction=predictions.add)
+    recorded = runs.recorded(job.bag, job.config.robots)
+    run = offline.assemble(pipeline, recorded, steps, predictions)
     lineage = pipeline.lineage()
     refined = refinement.refine(lineage, run.landmarks, job.config)
     run = run.with_paths(mean=pipeline.mean_trajectories(), refined=refined.paths)

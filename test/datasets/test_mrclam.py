@@ -69,7 +69,9 @@ def test_every_frame_of_all_robots_comes_with_sightings_before_observations(bag)
     assert order == sorted(order)
     stamps = np.array(sorted(kinds))
     assert set(np.diff(stamps)) == {500_000_000}
-    expected = [(r, k) for r in ("robot_1", "robot_2") for k in ("Sightings", "ObservationSet")]
+    expected = [
+        (r, k) for r in ("robot_1", "robot_2") for k in ("Sightings", "EncodedObservations")
+    ]
     assert all(sorted(frame) == sorted(expected) for frame in kinds.values())
     for frame in kinds.values():
         assert next(kind for robot, kind in frame if robot == "robot_1") == "Sightings"
@@ -124,7 +126,7 @@ def test_every_robot_is_kept_as_long_as_its_odometry_and_truth_where_there_is_on
     config = offline.recorded_config(tmp_path / "bag")
     frames = {"robot_1": [], "robot_2": []}
     for event in offline.events(tmp_path / "bag", config):
-        if type(event).__name__ == "ObservationSet":
+        if type(event).__name__ == "EncodedObservations":
             frames[event.robot].append(event.stamp_ns / 1e9 - START)
     assert [own[0] for own in frames.values()] == pytest.approx([0, 0])
     assert [own[-1] for own in frames.values()] == pytest.approx([29.5, 20])

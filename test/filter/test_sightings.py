@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from msg_defs.types import CameraMount, ObservationSet, PoseSample, Sightings
-from multi_robot_slam.config import Config
+from multi_robot_slam.config import EVERY_FRAME, Config
 from multi_robot_slam.filter import rbpf, resampling, sightings
 from multi_robot_slam.filter.settings import NO_REJUVENATION, FilterSettings
 from multi_robot_slam.models.frames import BodySightings, RobotFrame
@@ -178,7 +178,8 @@ NAMES = ("a", "b")
 
 
 def pipeline(**changes):
-    config = Config(robots=NAMES, start_poses=((0, 0, 0), (2, 0, 0)), sightings=True)
+    starts = ((0, 0, 0), (2, 0, 0))
+    config = Config(robots=NAMES, start_poses=starts, sightings=True, keyframe=EVERY_FRAME)
     return Pipeline(replace(config, filter=replace(config.filter, particles=20), **changes))
 
 

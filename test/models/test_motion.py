@@ -1,6 +1,7 @@
 """Odometry increments and the motion model (7)."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -8,6 +9,7 @@ from multi_robot_slam.models.motion import (
     MotionSettings,
     increment,
     move,
+    predicted,
     spread,
     standard_deviations,
     wrap,
@@ -86,3 +88,33 @@ def test_noise_of_time_alone_grows_with_its_root():
     np.testing.assert_allclose(still, [0.2, 0.4, 0.6])
     moving = standard_deviations(np.array([1.0, 0, 0]), 4.0, MotionSettings(0.3, 0, 0, 0, 0.2))
     np.testing.assert_allclose(moving, [0.5, 0, 0])
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.3, -2.0])
+def test_predicted_is_what_many_draws_of_the_model_spread_to(turn):
+    rng = np.random.default_rng(1)
+    noise = MotionSettings(
+        forward_per_sqrt_m=0.05, left_per_sqrt_m=0.02, yaw_per_sqrt_m=0.03, yaw_per_sqrt_s=0.02
+    )
+    root = rng.normal(0, 0.02, (3, 3))
+    pose, covariance, u = np.array([1.0, -2.0, 2.5]), root @ root.T, np.array([0.4, 0.1, turn])
+    where, grown = predicted(pose, covariance, u, 0.7, noise)
+    draws = rng.multivariate_normal(pose, covariance, 200_000).T
+    sigma = standard_deviations(u, 0.7, noise)
+    move(draws, u[:, None] + sigma[:, None] * rng.standard_normal(draws.shape))
+    off = draws - where[:, None]
+    off[2] = wrap(off[2])
+    scale = np.sqrt(np.diag(grown))
+    np.testing.assert_allclose(off.mean(axis=1) / scale, 0, atol=0.02)
+    np.testing.assert_allclose(
+        np.cov(off) / np.outer(scale, scale), grown / np.outer(scale, scale), atol=0.02
+    )
+
+
+def test_predicted_is_the_increment_in_reverse_and_certain_without_noise():
+    pose, u = np.array([3.0, 1.0, 3.0]), np.array([0.2, -0.1, 0.5])
+    still = MotionSettings(**dict.fromkeys(vars(MotionSettings()), 0.0))
+    where, grown = predicted(pose, np.zeros((3, 3)), u, 1.0, still)
+    np.testing.assert_allclose(increment(pose, where), u, atol=1e-12)
+    assert -np.pi <= where[2] < np.pi
+    assert not grown.any()

@@ -679,3 +679,83 @@ class TestRos:
         data = bytes(serialization.serialize_message(message))
         with pytest.raises(InputError, match="no field 'x' among"):
             wire.decode_observations(data, ROBOT)
+
+
+@given(stamps, st.booleans())
+def test_the_stamp_of_a_message_is_read_without_the_rest(stamp_ns, is_little_endian):
+    data = STORE.serialize_cdr(
+        messages.PoseStamped(messages.header_of(stamp_ns, "map"), messages_pose()),
+        messages.PoseStamped.__msgtype__,
+        little_endian=is_little_endian,
+    )
+    assert wire.peek_stamp(bytes(data)[:12], "it") == stamp_ns
+
+
+def messages_pose():
+    return messages.Pose(messages.Point(1.0, 2.0, 0.0), messages.Quaternion(0.0, 0.0, 0.0, 1.0))
+
+
+@pytest.mark.parametrize(
+    ("data", "told"),
+    [
+        (b"", "it: 0 bytes are no message with a stamp"),
+        (b"\0\1\0\0" + bytes(7), "it: 11 bytes"),
+        (b"\0\1\0\0" + bytes(4) + b"\xff" * 4, "it: nanosec = 4294967295"),
+    ],
+)
+def test_a_message_without_a_stamp_is_refused(data, told):
+    with pytest.raises(InputError, match=told):
+        wire.peek_stamp(data, "it")
+
+
+@given(stamps, poses, hnp.arrays(float, (3, 3), elements=st.floats(-10, 10)))
+def test_an_estimate_is_packed_as_ros_encodes_it(stamp_ns, pose, root):
+    own = Estimate(ROBOT, stamp_ns, pose, root @ root.T)
+    spatial = np.zeros((6, 6))
+    spatial[np.ix_((0, 1, 5), (0, 1, 5))] = own.covariance
+    half = float(pose[2]) / 2
+    orientation = messages.Quaternion(0.0, 0.0, np.sin(half), np.cos(half))
+    place = messages.Pose(messages.Point(pose[0], pose[1], 0.0), orientation)
+    expected = messages.encode(
+        messages.PoseWithCovarianceStamped(
+            messages.header_of(stamp_ns, "map"),
+            messages.PoseWithCovariance(place, spatial.ravel()),
+        )
+    )
+    assert wire.encode_estimate(own) == expected
+
+
+@pytest.mark.parametrize("count", [0, 1, 50])
+def test_many_estimates_are_decoded_as_one_is(count):
+    rng = np.random.default_rng(0)
+    roots = rng.normal(size=(count, 3, 3))
+    own = [
+        Estimate(ROBOT, STAMP + i, rng.uniform(-3, 3, 3), root @ root.T)
+        for i, root in enumerate(roots)
+    ]
+    sent = [wire.encode_estimate(estimate) for estimate in own]
+    one_by_one = [wire.decode_estimate(data, ROBOT) for data in sent]
+    for also in ([], [b"\0\0\0"]):  # padded to another length: not as we lay it out
+        many = wire.decode_estimates([data + b"".join(also) for data in sent], ROBOT)
+        assert many.stamps_ns.tolist() == [estimate.stamp_ns for estimate in one_by_one]
+        assert many.poses.shape == (count, 3)
+        assert many.covariances.shape == (count, 3, 3)
+        for estimate, pose, covariance in zip(one_by_one, *many[1:], strict=True):
+            np.testing.assert_allclose(pose, estimate.pose, atol=1e-12)
+            np.testing.assert_array_equal(covariance, estimate.covariance)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"pose": np.array([np.nan, 0, 0])}, "position"),
+        ({"covariance": -np.eye(3)}, "not symmetric and positive"),
+        ({"covariance": np.triu(np.ones((3, 3)))}, "not symmetric and positive"),
+        ({"covariance": np.full((3, 3), np.inf)}, "finite"),
+    ],
+)
+def test_of_many_estimates_a_bad_one_is_refused(change, told):
+    good = Estimate(ROBOT, STAMP, np.zeros(3), np.eye(3))
+    sent = [wire.encode_estimate(good), wire.encode_estimate(replace(good, **change))]
+    with pytest.raises(InputError, match=told):
+        wire.decode_estimates(sent, ROBOT)

@@ -7,12 +7,15 @@ import pytest
 from helpers import fake_run
 
 from msg_defs import wire
+from msg_defs.types import FrameCount
 from multi_robot_slam.nodes.health import Health
 from multi_robot_slam.pipeline.pipeline import FAILED_STEP
+from multi_robot_slam.runs import estimates
 
 nodes = pytest.importorskip("nodes")
 
 STEP = fake_run(steps=1).steps[0]
+NO_FRAMES = {"robot_1": FrameCount(0, 0), "robot_2": FrameCount(0, 0)}
 
 
 def health():
@@ -20,8 +23,8 @@ def health():
     return Health(("robot_1", "robot_2"), 5.0, clock), clock
 
 
-def level(of, dropped=()):
-    return of.statuses(0, 0, Counter(dict(dropped)), {})[0].level
+def level(of, dropped=(), frames=NO_FRAMES):
+    return of.statuses(0, 0, Counter(dict(dropped)), {}, frames)[0].level
 
 
 def test_what_was_dropped_is_a_warning():
@@ -82,17 +85,36 @@ def test_losses_now_and_then_are_an_error_until_they_end():
     assert levels(one, clock, [4] * 10) == [wire.ERROR] * 5 + [wire.WARN] * 5
 
 
+def test_a_team_that_stands_still_has_more_than_losses():
+    """Frames that are no keyframes make no steps, and are none the worse for it."""
+    one, clock = health()
+    one.note(STEP, 0)
+    found = []
+    for count in range(1, 13):
+        clock.now_s += 1.0
+        frames = NO_FRAMES | {"robot_1": FrameCount(count, 1)}
+        found.append(level(one, {"late frame": count}, frames))
+    assert set(found) == {wire.WARN}
+
+
+def test_frames_and_keyframes_are_told_of_each_robot_as_a_run_reads_them():
+    one, _ = health()
+    frames = {"robot_1": FrameCount(7, 3), "robot_2": FrameCount(0, 0)}
+    told = wire.encode_diagnostics(0, one.statuses(0, 0, Counter(), {}, frames))
+    assert estimates.frames([told], tuple(frames)) == frames
+
+
 def test_a_robot_is_silent_after_a_while():
     one, clock = health()
     one.hear("robot_1")
     clock.now_s = 6.0
     one.hear("robot_2")
-    _, *robots = one.statuses(0, 0, Counter(), {})
+    _, *robots = one.statuses(0, 0, Counter(), {}, NO_FRAMES)
     assert [status.level for status in robots] == [wire.WARN, wire.OK]
     assert one.silence_s() == 0.0
 
 
 def test_topics_that_were_never_heard_are_told():
     one, _ = health()
-    values = one.statuses(0, 0, Counter(), {"/robot_1/odom": "nothing heard"})[0].values
+    values = one.statuses(0, 0, Counter(), {"/robot_1/odom": "nothing heard"}, NO_FRAMES)[0].values
     assert values["unheard: /robot_1/odom"] == "nothing heard"

@@ -3,7 +3,7 @@
 import numpy as np
 
 from msg_defs.types import ObservationSet, PoseSample, Sightings
-from multi_robot_slam.config import Config
+from multi_robot_slam.config import EVERY_FRAME, Config
 from multi_robot_slam.filter.settings import FilterSettings
 from multi_robot_slam.pipeline.pipeline import Pipeline
 from multi_robot_slam.pipeline.reorder import UNPLACED
@@ -18,6 +18,7 @@ def team(told=None):
         start_poses=tuple((2.0 * i, 0.0, 0.0) for i in range(len(NAMES))),
         sightings=True,
         reorder_window_s=1.0,
+        keyframe=EVERY_FRAME,
         filter=FilterSettings(particles=5),
     )
     return Pipeline(config, (lambda text: None) if told is None else told.append)

@@ -7,7 +7,7 @@ import pytest
 import worlds
 
 from msg_defs.types import ObservationSet, PoseSample
-from multi_robot_slam.config import Config
+from multi_robot_slam.config import EVERY_FRAME, Config
 from multi_robot_slam.filter import rbpf, resampling
 from multi_robot_slam.pipeline.pipeline import Pipeline
 
@@ -20,7 +20,7 @@ def config(robots: int = 3, **changes) -> Config:
         start_poses=tuple(tuple(map(float, p)) for p in worlds.START[:robots]),
         mount=worlds.MOUNT,
         filter=worlds.settings(particles=20),
-        **changes,
+        **{"keyframe": EVERY_FRAME} | changes,
     )
 
 

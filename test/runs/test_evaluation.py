@@ -40,6 +40,7 @@ PATH_FIGURES = (
 PATH_KEYS = {path + figure for path in PATHS for figure in PATH_FIGURES}
 ROBOT_KEYS = PATH_KEYS | {
     *("pose_nees", "truth_coverage", "association_precision", "association_recall"),
+    *("frames", "keyframes"),
 }
 RESULT_KEYS = ROBOT_KEYS | {
     "landmark_nees",
