@@ -3,9 +3,10 @@
 Each gives its records by time, equal times in the order written, and a summary of them.
 """
 
-from collections.abc import Collection, Iterator
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
-from functools import cached_property
+from functools import cached_property, lru_cache
 from operator import attrgetter
 from pathlib import Path
 from typing import IO, NamedTuple
@@ -20,21 +21,11 @@ from rosbags.rosbag2.metadata import parse_qos
 
 from msg_defs.errors import InputError
 from msg_defs.topics import LATCHED, SENSOR, STREAM, Topic
+from multi_robot_slam.bags import chunks
+from multi_robot_slam.bags.chunks import Record
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 SQLITE_MAGIC = b"SQLite format 3\0"
-
-
-class Record(NamedTuple):
-    """One message of a bag."""
-
-    topic: str
-    """Absolute, as recorded: `/robot_1/odom`."""
-    type: str
-    stamp_ns: int
-    """When it was recorded."""
-    data: bytes
-    """CDR."""
 
 
 class Summary(NamedTuple):
@@ -42,9 +33,15 @@ class Summary(NamedTuple):
 
     topics: frozenset[Topic]
     """Names are absolute."""
-    message_count: int
+    counts: Mapping[str, int]
+    """Messages of each topic, by its name; a topic without any may be missing."""
     span_ns: tuple[int, int] | None
     """When the first and the last message were recorded; None without messages."""
+
+    @property
+    def message_count(self) -> int:
+        """Messages of all topics."""
+        return sum(self.counts.values())
 
 
 def merged(summaries: list[Summary]) -> Summary:
@@ -52,7 +49,7 @@ def merged(summaries: list[Summary]) -> Summary:
     spans = [summary.span_ns for summary in summaries if summary.span_ns]
     return Summary(
         frozenset().union(*(summary.topics for summary in summaries)),
-        sum(summary.message_count for summary in summaries),
+        sum((Counter(summary.counts) for summary in summaries), Counter()),
         (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None,
     )
 
@@ -72,8 +69,7 @@ class McapFile:
         """Those of the topics `names`, by default all."""
         with self.path.open("rb") as stream, _damage_reported(self.path):
             if self.is_complete:
-                for found in SeekingReader(stream, validate_crcs=True).iter_messages(names):
-                    yield _record(*found)
+                yield from chunks.records(stream, self._index, names)
             else:
                 salvaged = _Salvage(stream, self.size).records()
                 wanted = (r for r in salvaged if names is None or r.topic in names)
@@ -82,22 +78,28 @@ class McapFile:
     @cached_property
     def summary(self) -> Summary:
         """From the file's own summary where it has one, else from all its messages."""
-        with self.path.open("rb") as stream, _damage_reported(self.path):
-            found = SeekingReader(stream).get_summary() if self.is_complete else None
+        with _damage_reported(self.path):
+            found = self._index if self.is_complete else None
         if found is None or found.statistics is None:
             return self._scan[0]
         return _declared(found, found.statistics)
+
+    @property
+    def _index(self) -> McapSummary | None:
+        """The file's own summary, if it has one."""
+        state = self.path.stat()
+        return _summary_section(self.path.resolve(), state.st_size, state.st_mtime_ns)
 
     @property
     def loss(self) -> str:
         """What is known about the part that is missing; empty when the file is complete."""
         if self.is_complete:
             return ""
-        (_, count, span_ns), used = self._scan
-        first, last = span_ns or (0, 0)
+        summary, used = self._scan
+        first, last = summary.span_ns or (0, 0)
         return (
             f"{self.path} breaks off: its recorder was killed or failed, or it was cut; "
-            f"{count} messages over {(last - first) / 1e9:.1f} s are read, "
+            f"{summary.message_count} messages over {(last - first) / 1e9:.1f} s are read, "
             f"{self.size - used} bytes after them hold no whole one"
         )
 
@@ -105,15 +107,25 @@ class McapFile:
     def _scan(self) -> tuple[Summary, int]:
         """What the messages tell, and the size up to the end of the last whole record [bytes]."""
         stamps: list[int] = []
+        counts: Counter[str] = Counter()
         with self.path.open("rb") as stream, _damage_reported(self.path):
             salvage = _Salvage(stream, self.size)
-            stamps += (record.stamp_ns for record in salvage.records())
+            for record in salvage.records():
+                stamps.append(record.stamp_ns)
+                counts[record.topic] += 1
             topics = {
                 _topic(channel, salvage.schemas.get(channel.schema_id))
                 for channel in salvage.channels.values()
             }
         span_ns = (min(stamps), max(stamps)) if stamps else None
-        return Summary(frozenset(topics), len(stamps), span_ns), salvage.used
+        return Summary(frozenset(topics), counts, span_ns), salvage.used
+
+
+@lru_cache(maxsize=4)
+def _summary_section(path: Path, size: int, changed_ns: int) -> McapSummary | None:
+    """What a file as it was changed last says of itself: read once, however often it is asked."""
+    with path.open("rb") as stream:
+        return SeekingReader(stream).get_summary()
 
 
 class _Salvage:
@@ -173,9 +185,9 @@ class RosbagsFile:
                 for c in reader.connections
                 if isinstance(c.ext, ConnectionExtRosbag2)
             }
-            count = reader.message_count
-            span_ns = (reader.start_time, reader.end_time - 1) if count else None
-            return Summary(frozenset(topics), count, span_ns)
+            counts = {name: about.msgcount for name, about in reader.topics.items()}
+            span_ns = (reader.start_time, reader.end_time - 1) if reader.message_count else None
+            return Summary(frozenset(topics), counts, span_ns)
 
 
 @contextmanager
@@ -192,9 +204,12 @@ def _damage_reported(path: Path) -> Iterator[None]:
 
 def _declared(summary: McapSummary, statistics: Statistics) -> Summary:
     span_ns = statistics.message_start_time, statistics.message_end_time
+    counts: Counter[str] = Counter()
+    for number, count in statistics.channel_message_counts.items():
+        counts[summary.channels[number].topic] += count
     return Summary(
         frozenset(_topic(c, summary.schemas.get(c.schema_id)) for c in summary.channels.values()),
-        statistics.message_count,
+        counts,
         span_ns if statistics.message_count else None,
     )
 
@@ -204,11 +219,17 @@ def _record(schema: Schema | None, channel: Channel, message: Message) -> Record
 
 
 def _topic(channel: Channel, schema: Schema | None) -> Topic:
+    offered = channel.metadata.get("offered_qos_profiles", "")
+    return Topic(channel.topic, schema.name if schema else "", _offered_kind(offered))
+
+
+@lru_cache(maxsize=64)
+def _offered_kind(profiles: str) -> str:
+    """The kind that a channel's metadata tell; many channels tell the same, as YAML."""
     try:
-        profiles = parse_qos(channel.metadata.get("offered_qos_profiles", ""))
+        return _kind(parse_qos(profiles))
     except Exception:  # not rosbag2's: the quality of service is a hint
-        profiles = []
-    return Topic(channel.topic, schema.name if schema else "", _kind(profiles))
+        return _kind([])
 
 
 def _kind(profiles: list[Qos]) -> str:
