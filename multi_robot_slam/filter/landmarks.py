@@ -10,6 +10,7 @@ import numpy as np
 
 from msg_defs.types import DESCRIPTOR_SIZE
 from multi_robot_slam.filter import kernels
+from multi_robot_slam.filter.reserved import enlarged, reserved
 from multi_robot_slam.models import parallel
 from multi_robot_slam.models.symmetric import pack
 
@@ -21,7 +22,7 @@ ROOM = 2**27
 
 
 class Landmarks:
-    """Columns for M particles; grows as needed, reuses what no particle holds any more.
+    """Columns for M particles; grows without a pause, reuses what no particle holds any more.
 
     Attributes
     ----------
@@ -35,8 +36,14 @@ class Landmarks:
     def __init__(self, particles: int, dtype: type = np.float32, capacity: int | None = None):
         if capacity is None:
             capacity = int(np.clip(ROOM / (kernels.PLANES * 4 * particles), 16, 1024))
-        self.planes: np.ndarray = np.empty((capacity, kernels.PLANES, particles), dtype)
-        self.descriptors = np.empty((capacity, DESCRIPTOR_SIZE), np.float32)
+        planes = reserved((capacity, kernels.PLANES, particles), dtype)
+        self._hold(planes, np.empty((capacity, DESCRIPTOR_SIZE), np.float32))
+
+    def _hold(self, planes: np.ndarray, descriptors: np.ndarray) -> None:
+        """Begin with these `planes` (N, 9, M) and `descriptors` (N, 128), all columns free."""
+        capacity, _, particles = planes.shape
+        self.planes = planes
+        self.descriptors = descriptors
         self.boxes = np.empty((capacity, 4))
         self.ids = np.full(capacity, FREE, np.int32)
         self.top = 0
@@ -46,6 +53,29 @@ class Landmarks:
         self._rows = np.arange(particles, dtype=np.int32)[None].copy()
         self._current = 0
         self._reserved = np.empty(0, int)
+
+    @classmethod
+    def holding(
+        cls, ids: np.ndarray, planes: np.ndarray, descriptors: np.ndarray, next_id: int
+    ) -> "Landmarks":
+        """A map that holds the landmarks `ids` (N,) in its first N columns, all up to date.
+
+        Their boxes are yet to be measured, see `bound`. A column that no particle has is free.
+
+        Parameters
+        ----------
+        planes : (N, 9, M), `kernels.NO_LANDMARK` where a particle does not have a landmark. They
+            are not copied and belong to the map from now on; from `reserved` they never are.
+        descriptors : (N, 128) float32, which belong to the map, too.
+        next_id : of the landmark that is created next, larger than all `ids`.
+        """
+        landmarks = cls.__new__(cls)
+        landmarks._hold(planes, descriptors)
+        landmarks.ids[:] = ids
+        landmarks.top = len(ids)
+        landmarks._next_id = next_id
+        landmarks._release_unowned(np.arange(len(ids)))
+        return landmarks
 
     def reserve(self, wanted: int) -> np.ndarray:
         """Columns (B,) for landmarks that `wanted` observations may create; then call `commit`."""
@@ -166,22 +196,15 @@ class Landmarks:
         is_used[used] = True
         self._current = int(np.argmin(is_used))
         if self._current == len(self._rows):
-            self._rows = _enlarged(self._rows)
+            self._rows = enlarged(self._rows)
         self._rows[self._current] = np.arange(self._rows.shape[1])
 
     def _grow(self) -> None:
         old = len(self.ids)
-        self.planes = _enlarged(self.planes)
-        self.descriptors = _enlarged(self.descriptors)
-        self.boxes = _enlarged(self.boxes)
-        self.ids = _enlarged(self.ids)
+        self.planes = enlarged(self.planes)
+        self.descriptors = enlarged(self.descriptors)
+        self.boxes = enlarged(self.boxes)
+        self.ids = enlarged(self.ids)
         self.ids[old:] = FREE
-        self._partial = _enlarged(self._partial)
-        self._generations = _enlarged(self._generations)
-
-
-def _enlarged(array: np.ndarray) -> np.ndarray:
-    """`array` at the head of an array with half as many rows again; the rest is not touched."""
-    larger = np.empty((len(array) * 3 // 2 + 1, *array.shape[1:]), array.dtype)
-    larger[: len(array)] = array
-    return larger
+        self._partial = enlarged(self._partial)
+        self._generations = enlarged(self._generations)

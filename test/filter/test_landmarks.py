@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 
 from multi_robot_slam.filter import kernels
 from multi_robot_slam.filter.landmarks import FREE, Landmarks
+from multi_robot_slam.filter.reserved import reserved
 
 PARTICLES = 6
 
@@ -131,3 +132,88 @@ def test_mixture_is_the_moments_of_the_particles_that_have_the_landmark():
     np.testing.assert_allclose(mixed[:3], mean)
     expected = (second - np.outer(mean, mean))[[0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
     np.testing.assert_allclose(mixed[3:], expected)
+
+
+def test_growth_moves_no_plane():
+    particles = 2000
+    lazy = Landmarks(particles)
+    columns = lazy.reserve(3)
+    lazy.planes[columns] = 7
+    begin, capacity = lazy.planes.ctypes.data, len(lazy.planes)
+    lazy.reserve(3 * capacity)
+    assert lazy.planes.ctypes.data == begin
+    assert len(lazy.planes) > 3 * capacity
+    assert (lazy.planes[columns] == 7).all()
+
+
+def grown(owners, values, descriptors):
+    """A map built by creating one landmark after the other, and the boxes measured."""
+    lazy = Landmarks(PARTICLES, capacity=2)
+    for own, value, descriptor in zip(owners, values, descriptors, strict=True):
+        (column,) = lazy.reserve(1)
+        lazy.planes[column] = np.where(own, value, kernels.NO_LANDMARK[:, None])
+        lazy.bound(np.array([column]), 9.0)
+        lazy.commit(np.array([column]), np.array([own.sum()]), descriptor[None])
+    return lazy
+
+
+@settings(max_examples=50)
+@given(st.integers(0, 2**32 - 1), actions)
+def test_a_map_that_is_handed_whole_arrays_is_the_one_that_grew(seed, sequence):
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(0, 6))
+    owners = rng.random((count, PARTICLES)) < rng.choice([0.3, 1.0], (count, 1))
+    owners[~owners.any(axis=1), 0] = True
+    values = rng.normal(size=(count, 9, PARTICLES)).astype(np.float32)
+    descriptors = rng.normal(size=(count, 128)).astype(np.float32)
+    one = grown(owners, values, descriptors)
+    planes = np.where(owners[:, None], values, kernels.NO_LANDMARK[:, None]).astype(np.float32)
+    other = Landmarks.holding(np.arange(count), planes, descriptors.copy(), count)
+    assert count == 0 or np.shares_memory(other.planes, planes)
+    other.bound(np.arange(count), 9.0)
+    for action, action_seed in [("", 0), *sequence]:
+        both_do(one, other, action, action_seed)
+        assert one.alive().tolist() == other.alive().tolist()
+        for m in range(PARTICLES):
+            (columns, expected), (same, got) = one.of_particle(m), other.of_particle(m)
+            assert one.ids[columns].tolist() == other.ids[same].tolist()
+            np.testing.assert_array_equal(got, expected)
+        alive = one.alive()
+        np.testing.assert_array_equal(other.descriptors[alive], one.descriptors[alive])
+        np.testing.assert_array_equal(other.boxes[alive], one.boxes[alive])
+
+
+def both_do(one, other, action, seed):
+    """Resample, observe or create on two maps with the same random numbers."""
+    for lazy in (one, other):
+        rng = np.random.default_rng(seed)
+        alive = lazy.alive()
+        if action == "r":
+            lazy.resample(np.sort(rng.integers(0, PARTICLES, PARTICLES)).astype(np.int32))
+        elif action == "o" and len(alive):
+            lazy.bring_up_to_date(alive[:2])
+            lazy.bound(alive[:2], 9.0)
+        elif action == "c":
+            (column,) = lazy.reserve(1)
+            lazy.planes[column] = rng.normal(size=(9, PARTICLES))
+            lazy.bound(np.array([column]), 9.0)
+            lazy.commit(np.array([column]), np.array([PARTICLES]), np.ones((1, 128), np.float32))
+
+
+def test_a_column_that_no_particle_has_is_handed_over_free():
+    planes = np.tile(kernels.NO_LANDMARK[:, None], (3, 1, PARTICLES)).astype(np.float32)
+    planes[1, 0, 2] = 1
+    lazy = Landmarks.holding(np.array([4, 5, 9]), planes, np.ones((3, 128), np.float32), 10)
+    assert lazy.ids[lazy.alive()].tolist() == [5]
+    lazy.resample(np.full(PARTICLES, 3, np.int32))
+    assert not len(lazy.alive())
+    assert lazy.ids[lazy.reserve(1)].tolist() == [10]
+
+
+def test_planes_handed_over_from_reserved_grow_in_place():
+    planes = reserved((40, 9, 2000), np.float32)
+    planes[:] = 1
+    lazy = Landmarks.holding(np.arange(40), planes, np.ones((40, 128), np.float32), 40)
+    lazy.reserve(100)
+    assert lazy.planes.ctypes.data == planes.ctypes.data
+    assert (lazy.planes[:40] == 1).all()
