@@ -5,12 +5,12 @@ it if E <= E_0. E does not depend on the particle, so the same landmark is found
 inside the gate in ascending E among those with E <= E_0: one short list serves all particles.
 """
 
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
-from multi_robot_slam.models.descriptors import squared_distances
+from multi_robot_slam.filter.kernels import extremes
+from multi_robot_slam.models.compiled import kernel
 
 
 class Candidates(NamedTuple):
@@ -24,6 +24,7 @@ class Candidates(NamedTuple):
     """(C,) float32: E (19)."""
 
 
+@kernel
 def field_of_search(
     poses: np.ndarray, v: np.ndarray, noise: np.ndarray, gate: float, pose_margin: np.ndarray
 ) -> np.ndarray:
@@ -31,23 +32,23 @@ def field_of_search(
 
     Parameters
     ----------
-    poses : (3, M) of the robot; v, noise : (B, 3), (B, 6) in `base_link`.
+    poses : (3, M) of the robot; v, noise : (B, 3), (B, 6) in `base_link`, B at least 1.
     pose_margin : (2,) how far a pose may still move [m] and turn [rad].
     """
-    yaw = poses[2].mean()
-    turn = np.abs(poses[2] - yaw).max() + pose_margin[1]
-    distance = np.hypot(v[:, 0], v[:, 1])
-    margin = np.sqrt(gate * (noise[:, 0] + noise[:, 3])) + distance * turn + pose_margin[0]
+    least, most = extremes(poses[2])
+    yaw, turn = 0.5 * (least + most), 0.5 * (most - least) + pose_margin[1]
     cos, sin = np.cos(yaw), np.sin(yaw)
-    seen_x, seen_y = cos * v[:, 0] - sin * v[:, 1], sin * v[:, 0] + cos * v[:, 1]
-    return np.array(
-        [
-            poses[0].min() + (seen_x - margin).min(),
-            poses[0].max() + (seen_x + margin).max(),
-            poses[1].min() + (seen_y - margin).min(),
-            poses[1].max() + (seen_y + margin).max(),
-        ]
-    )
+    x_low = y_low = np.inf
+    x_high = y_high = -np.inf
+    for b in range(len(v)):
+        distance = np.hypot(v[b, 0], v[b, 1])
+        margin = np.sqrt(gate * (noise[b, 0] + noise[b, 3])) + distance * turn + pose_margin[0]
+        x, y = cos * v[b, 0] - sin * v[b, 1], sin * v[b, 0] + cos * v[b, 1]
+        x_low, x_high = min(x_low, x - margin), max(x_high, x + margin)
+        y_low, y_high = min(y_low, y - margin), max(y_high, y + margin)
+    left, right = extremes(poses[0])
+    lowest, highest = extremes(poses[1])
+    return np.array([left + x_low, right + x_high, lowest + y_low, highest + y_high])
 
 
 def find_candidates(
@@ -62,22 +63,67 @@ def find_candidates(
     known : (N, 128) descriptors of the landmarks in `known_columns` (N,), ascending.
 
     """
-    count = len(observed)
-    distance = np.concatenate(
-        [squared_distances(observed, known), squared_distances(observed, observed)], axis=1
+    return Candidates(
+        *_list(
+            observed @ known.T,
+            observed @ observed.T,
+            np.einsum("ij,ij->i", observed, observed),
+            np.einsum("ij,ij->i", known, known),
+            known_columns,
+            observed.dtype.type(threshold),
+        )
     )
-    distance[:, len(known) :][_not_earlier(count)] = np.inf
-    rows, columns = np.nonzero(distance <= threshold)
-    order = np.lexsort((distance[rows, columns], rows))
-    rows, columns = rows[order], columns[order]
-    starts = np.searchsorted(rows, np.arange(count + 1)).astype(np.int32)
-    signed = np.concatenate([known_columns, -1 - np.arange(count)]).astype(np.int32)
-    return Candidates(starts, signed[columns], distance[rows, columns])
 
 
-@lru_cache(maxsize=8)
-def _not_earlier(count: int) -> np.ndarray:
-    """(B, B) bool: the second observation is not made before the first."""
-    mask = np.triu(np.ones((count, count), bool))
-    mask.setflags(write=False)
-    return mask
+@kernel
+def _list(
+    products: np.ndarray,
+    own_products: np.ndarray,
+    own_squares: np.ndarray,
+    squares: np.ndarray,
+    columns: np.ndarray,
+    threshold: np.floating,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The fields of `Candidates`, from the products and squares of descriptors.
+
+    E is computed in the order of `descriptors.squared_distances`, to the same bits. Equal ones stay
+    in the order of the columns, and after those in that of the observations.
+    """
+    count, known = products.shape
+    starts = np.zeros(count + 1, np.int32)
+    found = np.empty(count * (known + count), np.int32)
+    distances = np.empty(count * (known + count), products.dtype)
+    size = 0
+    minus_two = products.dtype.type(-2)
+    for b in range(count):
+        first = size
+        for n in range(known + b):
+            if n < known:
+                column = columns[n]
+                distance = minus_two * products[b, n] + squares[n]
+            else:
+                column = known - n - 1
+                distance = minus_two * own_products[b, n - known] + own_squares[n - known]
+            distance += own_squares[b]
+            if distance <= threshold:
+                place = size
+                while place > first and distances[place - 1] > distance:
+                    distances[place], found[place] = distances[place - 1], found[place - 1]
+                    place -= 1
+                distances[place], found[place] = distance, column
+                size += 1
+        starts[b + 1] = size
+    return starts, found[:size].copy(), distances[:size].copy()
+
+
+@kernel
+def landmarks_among(columns: np.ndarray) -> np.ndarray:
+    """The distinct `columns` of `Candidates` that are landmarks' (n,) int64, ascending."""
+    ascending = np.sort(columns)
+    distinct = np.empty(ascending.size, np.int64)
+    count, last = 0, -1
+    for column in ascending:
+        if column > last:
+            distinct[count] = column
+            count, last = count + 1, column
+    return distinct[:count].copy()

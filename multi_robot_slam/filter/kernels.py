@@ -12,6 +12,8 @@ What is not a number never enters a landmark: an update that yields one counts a
 from typing import NamedTuple
 
 import numpy as np
+from numba import types
+from numba.extending import overload
 
 from multi_robot_slam.models.compiled import kernel
 from multi_robot_slam.models.parallel import BLOCK
@@ -31,8 +33,8 @@ LEAST_VOLUME = np.float32(2.0**-14)
 LEAST_VARIANCE, LARGEST_VARIANCE = 1e-12, 1e12
 """Of an observation [m^2]: a product of three is a number of single precision."""
 
-LANES = 32
-"""Elements of a row that are compared at once."""
+LONG = 16
+"""Particles in a row with one ancestor, on average, from which on they are filled, not gathered."""
 
 UNMATCHED = -1
 """Match of an observation that has found no landmark yet."""
@@ -111,10 +113,12 @@ def associate_and_update(
                     set_taken_aside(columns[i], column, candidates, b, matched, low, count, found)
                 fetch(planes[column], low, count, local)
                 update(UNMATCHED, column, local, found, count, v[b], noise[b], gate)
-                put(planes[column], low, count, local)
                 if exclusive:
                     replace(found, count, TAKEN, UNMATCHED)
+                before = unmatched
                 unmatched = count_equal(found, count, UNMATCHED)
+                if unmatched < before:
+                    put(planes[column], low, count, local)
                 if unmatched == 0:
                     break
             is_new[b] = unmatched > 0
@@ -348,17 +352,43 @@ def log_likelihood(mahalanobis_sq, determinants):
     Determinants are multiplied in float64 and their logarithm taken every eighth observation.
     """
     count, particles = mahalanobis_sq.shape
-    total = np.zeros(particles)
-    product = np.ones(particles)
-    for b in range(count):
-        for m in range(particles):
-            total[m] -= 0.5 * mahalanobis_sq[b, m]
-            product[m] *= determinants[b, m]
-        if b % 8 == 7 or b == count - 1:
-            for m in range(particles):
-                total[m] -= 0.5 * np.log(product[m])
-                product[m] = 1.0
-    return total
+    totals = np.zeros(particles)
+    product = np.empty(BLOCK)
+    for low in range(0, particles, BLOCK):
+        high = min(low + BLOCK, particles)
+        total = totals[low:high]
+        product[:] = 1
+        for b in range(count):
+            distance, determinant = mahalanobis_sq[b, low:high], determinants[b, low:high]
+            for m in range(total.size):
+                total[m] -= 0.5 * distance[m]
+                product[m] *= determinant[m]
+            if b % 8 == 7 or b == count - 1:
+                for m in range(total.size):
+                    total[m] -= 0.5 * np.log(product[m])
+                    product[m] = 1.0
+    return totals
+
+
+@kernel
+def name(columns, candidates, new_columns, ids):
+    """The ids of matched `columns` (B, M) and of `association.Candidates.columns` (C,).
+
+    Parameters
+    ----------
+    new_columns : (B,) the column that each observation may create.
+    ids : (N,) int32 of all columns.
+    """
+    names = np.empty(columns.shape, ids.dtype)
+    for b in range(len(columns)):
+        own, row = columns[b], names[b]
+        for m in range(row.size):
+            row[m] = ids[np.uint32(own[m])]
+    candidate_names = np.empty(candidates.size, ids.dtype)
+    for i in range(candidates.size):
+        column = candidates[i]
+        candidate_names[i] = ids[column if column >= 0 else new_columns[-1 - column]]
+    return names, candidate_names
 
 
 @kernel
@@ -396,16 +426,55 @@ def gather(first, last, planes, columns, rows, generations):
     """Bring columns[first:last] up to date.
 
     In columns[i] particle m takes the place of particle rows[generations[i], m]. An unsigned index
-    spares the compiler the test for a negative one, which would keep it from SIMD code.
+    spares the compiler the test for a negative one, which would keep it from SIMD code. Rows
+    ascend: where few ancestors are left, each has a long run of particles, which are filled.
     """
-    gathered = np.empty(planes.shape[2], planes.dtype)
+    particles = planes.shape[2]
+    gathered = np.empty(particles, planes.dtype)
+    begins = np.empty(particles // LONG + 2, np.int32)
+    runs, of_generation = 0, -1
     for i in range(first, last):
         ancestors = rows[generations[i]]
+        if generations[i] != of_generation:
+            of_generation = generations[i]
+            runs = find_runs(ancestors, begins)
         for k in range(PLANES):
             plane = planes[columns[i], k]
-            for m in range(gathered.size):
-                gathered[m] = plane[np.uint32(ancestors[m])]
-            copy(gathered, plane)
+            if runs:
+                fill(plane, ancestors, begins[: runs + 1], gathered)
+            else:
+                for m in range(gathered.size):
+                    gathered[m] = plane[np.uint32(ancestors[m])]
+                copy(gathered, plane)
+
+
+@kernel
+def find_runs(ancestors, begins):
+    """Where each run of equal `ancestors` (M,) begins, and M, into `begins`; how many runs.
+
+    0 where there are more than one in LONG particles.
+    """
+    runs = np.int32(1)
+    for m in range(1, ancestors.size):
+        runs += np.int32(ancestors[m] != ancestors[m - 1])
+    if runs * LONG > ancestors.size:
+        return 0
+    begins[0] = 0
+    found = 1
+    for m in range(1, ancestors.size):
+        begins[found] = m
+        found += np.int32(ancestors[m] != ancestors[m - 1])
+    begins[found] = ancestors.size
+    return found
+
+
+@kernel
+def fill(plane, ancestors, begins, values):
+    """Let each run of particles take the number its ancestor has in `plane`, in place."""
+    for run in range(begins.size - 1):
+        values[run] = plane[ancestors[begins[run]]]
+    for run in range(begins.size - 1):
+        plane[begins[run] : begins[run + 1]] = values[run]
 
 
 @kernel
@@ -456,20 +525,59 @@ def bound(planes, columns, reach, boxes):
         boxes[column, 0], boxes[column, 1] = x_low - x_margin, x_high + x_margin
         boxes[column, 2], boxes[column, 3] = y_low - y_margin, y_high + y_margin
         if x_high > 0.5 * FAR:
-            boxes[column] = np.array([-1.0, 1.0, -1.0, 1.0]) * FAR
+            boxes[column, 0], boxes[column, 1] = -FAR, FAR
+            boxes[column, 2], boxes[column, 3] = -FAR, FAR
+
+
+@kernel
+def near(boxes, ids, box):
+    """Columns whose box (N, 4) meets `box` (4,) and whose id is not negative, ascending."""
+    found = np.empty(len(ids), np.int64)
+    count = 0
+    for column in range(len(ids)):
+        x_low, x_high, y_low, y_high = boxes[column]
+        meets = (x_low <= box[1]) & (x_high >= box[0]) & (y_low <= box[3]) & (y_high >= box[2])
+        found[count] = column
+        count += np.int64(meets & (ids[column] >= 0))
+    return found[:count].copy()
 
 
 @kernel
 def extremes(row):
-    """Least and greatest element of a row, lane by lane, which is SIMD code."""
-    low, high = np.full(LANES, row[0]), np.full(LANES, row[0])
-    whole = row.size // LANES * LANES
-    for first in range(0, whole, LANES):
-        for lane in range(LANES):
-            element = row[first + lane]
-            low[lane] = element if element < low[lane] else low[lane]
-            high[lane] = element if element > high[lane] else high[lane]
-    for m in range(whole, row.size):
-        low[0] = min(low[0], row[m])
-        high[0] = max(high[0], row[m])
-    return low.min(), high.max()
+    """Least and greatest element of a contiguous `row`, float32 or float64, none of them NaN.
+
+    Floats are compared as integers in the same order: which two come first makes no difference to
+    those, so that the compiler may compare many at once.
+    """
+    bits = as_integers(row)
+    low = high = in_order(bits[0])
+    for m in range(1, bits.size):
+        key = in_order(bits[m])
+        low, high = min(low, key), max(high, key)
+    ends = np.empty(2, row.dtype)
+    found = as_integers(ends)
+    found[0], found[1] = in_order(low), in_order(high)
+    return ends[0], ends[1]
+
+
+def as_integers(row):
+    """The bits of floats as signed integers of the same size; kernels only."""
+    raise NotImplementedError(f"{row.dtype} outside of a kernel")
+
+
+@overload(as_integers)
+def _as_integers(row):
+    integer = np.int32 if row.dtype == types.float32 else np.int64
+    return lambda row: row.view(integer)
+
+
+def in_order(bits):
+    """Integers in the order of the floats whose `bits` they are, and back; kernels only."""
+    raise NotImplementedError(f"{bits} outside of a kernel")
+
+
+@overload(in_order, inline="always")
+def _in_order(bits):
+    integer = np.int32 if bits.bitwidth == 32 else np.int64
+    sign, others = integer(bits.bitwidth - 1), np.iinfo(integer).max
+    return lambda bits: integer(bits ^ (integer(bits >> sign) & integer(others)))

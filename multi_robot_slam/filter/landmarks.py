@@ -105,10 +105,7 @@ class Landmarks:
 
     def near(self, box: np.ndarray) -> np.ndarray:
         """Columns whose box meets `box` (4,), ascending; no other can lie inside the gate."""
-        boxes = self.boxes[: self.top]
-        meets = (boxes[:, 0] <= box[1]) & (boxes[:, 1] >= box[0])
-        meets &= (boxes[:, 2] <= box[3]) & (boxes[:, 3] >= box[2])
-        return np.flatnonzero(meets & (self.ids[: self.top] != FREE))
+        return kernels.near(self.boxes, self.ids[: self.top], box)
 
     def bound(self, columns: np.ndarray, gate: float) -> None:
         """Measure the boxes of `columns`, which must be up to date, for the gate D_0."""

@@ -69,7 +69,7 @@ def begin(
     candidates = association.find_candidates(
         frame.descriptors, landmarks.descriptors[near], near, settings.descriptor_gate
     )
-    touched = np.unique(candidates.columns[candidates.columns >= 0])
+    touched = association.landmarks_among(candidates.columns)
     landmarks.bring_up_to_date(touched, threads(settings))
     shape = (count, settings.particles)
     matches = Matches(np.empty(shape, np.int32), np.empty(shape, dtype), np.empty(shape, dtype))
@@ -86,8 +86,10 @@ def finish(
 ) -> FrameInfo:
     """Keep the landmarks that were created, and weigh (16)."""
     _, candidates, touched, new_columns, matches = matching
-    new_ids, ids = landmarks.ids[new_columns], landmarks.ids[matches.columns]
-    candidate_ids = landmarks.ids[_columns(candidates.columns, new_columns)]
+    new_ids = landmarks.ids[new_columns]
+    ids, candidate_ids = kernels.name(
+        matches.columns, candidates.columns, new_columns, landmarks.ids
+    )
     created = kernels.complete_new(landmarks.planes, new_columns, matches.columns)
     landmarks.bound(touched, settings.gate)
     landmarks.bound(new_columns[created > 0], settings.gate)
@@ -112,10 +114,3 @@ def as_seen(poses: np.ndarray, dtype: type | np.dtype) -> np.ndarray:
     np.sin(yaw, out=seen[1])
     seen[2:] = poses[:2]
     return seen
-
-
-def _columns(candidates: np.ndarray, new_columns: np.ndarray) -> np.ndarray:
-    """The column each candidate stands for, see `association.Candidates`."""
-    columns = candidates.copy()
-    columns[candidates < 0] = new_columns[-1 - candidates[candidates < 0]]
-    return columns

@@ -7,6 +7,7 @@ import numpy as np
 from annotated_types import Ge
 
 from msg_defs.types import settings
+from multi_robot_slam.models.compiled import kernel
 
 
 @settings
@@ -112,11 +113,25 @@ def predicted(
 
 
 def move(poses: np.ndarray, motions: np.ndarray) -> None:
-    """Compose `poses` (3, M) with `motions` (3, M), in place: x_t = x_{t-1} (+) u_t."""
-    cos, sin = np.cos(poses[2]), np.sin(poses[2])
-    poses[0] += cos * motions[0] - sin * motions[1]
-    poses[1] += sin * motions[0] + cos * motions[1]
-    poses[2] += motions[2]
+    """Compose `poses` (3, M) with `motions` (3, M) or (3, 1), in place: x_t = x_{t-1} (+) u_t."""
+    _move(poses, np.cos(poses[2]), np.sin(poses[2]), motions)
+
+
+@kernel
+def _move(poses: np.ndarray, cos: np.ndarray, sin: np.ndarray, motions: np.ndarray) -> None:
+    """`move`, given the cosines and sines (M,) of the yaws."""
+    x, y, yaw = poses[0], poses[1], poses[2]
+    if motions.shape[1] == 1:
+        forward, left, turn = motions[0, 0], motions[1, 0], motions[2, 0]
+        for m in range(cos.size):
+            x[m] += cos[m] * forward - sin[m] * left
+            y[m] += sin[m] * forward + cos[m] * left
+            yaw[m] += turn
+    else:
+        for m in range(cos.size):
+            x[m] += cos[m] * motions[0, m] - sin[m] * motions[1, m]
+            y[m] += sin[m] * motions[0, m] + cos[m] * motions[1, m]
+            yaw[m] += motions[2, m]
 
 
 def wrap(angle: float | np.ndarray) -> float | np.ndarray:

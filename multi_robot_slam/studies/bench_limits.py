@@ -38,6 +38,7 @@ class Sizes:
 
     particles: int = 2000
     few_particles: int = 100
+    default_particles: int = 500
     textbook_particles: int = 5
     robots: int = 3
     observations: int = 15
@@ -45,6 +46,7 @@ class Sizes:
     small_map: int = 500
     large_map: int = 10_000
     memory_map: int = 1000
+    grown_map: int = 6000
     literal_map: int = 100
     """Its step takes time in proportion; a larger map would flatter the ratio."""
     steps: int = 100

@@ -42,7 +42,8 @@ class Session:
     """A team in a world of its own, resampling every step, whose map holds `landmarks` already.
 
     The map is made with the informed proposal; from then on the filter uses `proposal`. Most of it
-    is made in a hurry, the last part at the pace at which time is taken.
+    is made in a hurry, the last part at the pace at which time is taken. The world has `ring`
+    landmarks, by default enough for the map and some hundred steps.
     """
 
     def __init__(
@@ -53,11 +54,12 @@ class Session:
         observations: int,
         proposal: Proposal,
         seed: int = 0,
+        ring: int | None = None,
     ) -> None:
         self.settings = FilterSettings(
             particles=particles, resample_below=1.0, threads=1, rejuvenation=NO_REJUVENATION
         )
-        ring = 2 * landmarks + 1000
+        ring = ring or 2 * landmarks + 1000
         self.world = World(ring, robots, self.settings.motion, observations, seed)
         self.state = rbpf.init(self.world.poses(), self.settings)
         self._rng = np.random.default_rng(seed)
@@ -69,10 +71,12 @@ class Session:
         self._right.clear()
         self.settings = replace(self.settings, proposal=proposal)
 
-    def survey(self, landmarks: int) -> None:
-        """Drive fast until so many landmarks have been observed."""
+    def survey(self, landmarks: int) -> list[Clock]:
+        """Drive fast until so many landmarks have been observed: the clock of each step."""
+        clocks = []
         while len(self.world.seen) < landmarks:
-            self.process(self.world.drive(SURVEY_SPEED), self._rng)
+            clocks.append(self.process(self.world.drive(SURVEY_SPEED), self._rng)[0])
+        return clocks
 
     def step(self) -> Clock:
         """Drive on at the pace at which time is taken."""

@@ -8,8 +8,9 @@ from multi_robot_slam.filter import kernels
 from multi_robot_slam.filter.association import (
     field_of_search,
     find_candidates,
-    squared_distances,
+    landmarks_among,
 )
+from multi_robot_slam.models.descriptors import squared_distances
 from multi_robot_slam.models.symmetric import unpack
 
 
@@ -47,6 +48,31 @@ def test_an_observation_may_be_what_an_earlier_one_creates():
     candidates = find_candidates(observed, np.empty((0, 128), np.float32), np.empty(0, int), 1e-4)
     assert candidates.starts.tolist() == [0, 0, 0, 1]
     assert candidates.columns.tolist() == [-1]
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 6), st.integers(0, 9), st.booleans())
+def test_the_list_is_that_of_sorting_all_pairs(seed, count, known_count, are_alike):
+    """To the bit, and where distances are equal in the order of the columns."""
+    rng = np.random.default_rng(seed)
+    everything = unit(rng, 3 if are_alike else 20)
+    observed = everything[rng.integers(0, len(everything), count)]
+    known = everything[rng.integers(0, len(everything), known_count)]
+    columns = np.sort(rng.choice(50, known_count, replace=False))
+    threshold = float(rng.choice([0.0, 0.3, 0.5, 3.0]))
+    rows = np.concatenate(
+        [squared_distances(observed, known), squared_distances(observed, observed)], axis=1
+    )
+    rows[:, known_count:][np.triu(np.ones((count, count), bool))] = np.inf
+    found, places = np.nonzero(rows <= threshold)
+    order = np.lexsort((rows[found, places], found))
+    expected = np.concatenate([columns, -1 - np.arange(count)])[places[order]]
+    candidates = find_candidates(observed, known, columns, threshold)
+    assert candidates.columns.tolist() == expected.tolist()
+    assert candidates.starts.tolist() == np.searchsorted(found, np.arange(count + 1)).tolist()
+    np.testing.assert_array_equal(candidates.distances, rows[found, places][order])
+    assert {a.dtype for a in candidates} == {np.dtype(np.int32), np.dtype(np.float32)}
+    distinct = np.unique(expected[expected >= 0])
+    assert landmarks_among(candidates.columns).tolist() == distinct.tolist()
 
 
 def test_no_observations_no_candidates():

@@ -18,6 +18,7 @@ BENCH = ("study", "bench")
 TINY = bench_limits.Sizes(
     particles=100,
     few_particles=40,
+    default_particles=60,
     textbook_particles=2,
     robots=2,
     observations=6,
@@ -25,6 +26,7 @@ TINY = bench_limits.Sizes(
     small_map=40,
     large_map=80,
     memory_map=90,
+    grown_map=150,
     literal_map=20,
     steps=5,
     rounds=1,
@@ -55,6 +57,14 @@ def test_json_is_a_list_of_objects(rows):
     written = json.loads(bench.to_json(rows))
     assert [set(row) >= {"name", "value", "unit", "target", "limit"} for row in written]
     assert [bench_rows.Row(**row | {"spread": tuple(row["spread"])}) for row in written] == rows
+
+
+def test_a_survey_has_a_clock_for_each_step_and_sees_what_was_asked():
+    team = Session(40, 1, 20, 5, "informed", ring=400)
+    steps = team.state.steps
+    clocks = team.survey(120)
+    assert len(clocks) == team.state.steps - steps > 0
+    assert len(team.world.seen) >= 120
 
 
 @pytest.mark.parametrize("proposal", ["motion", "informed"])
