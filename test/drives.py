@@ -10,6 +10,7 @@ from multi_robot_slam.models.frames import BodySightings
 from multi_robot_slam.models.symmetric import pack
 from multi_robot_slam.smoothing import solve
 from multi_robot_slam.smoothing.envelope import envelope_of
+from multi_robot_slam.smoothing.prior import Prior
 from multi_robot_slam.smoothing.problem import Problem, problem_of
 
 GATE = 11.345
@@ -56,13 +57,14 @@ def with_sightings(records, poses, robots):
 def posed(state, settings, particle=0, sighted=False):
     """The problem of a particle's history, and the particle's path (P, 3)."""
     records, identities, poses = remembered(state, particle, sighted)
-    start = worlds.START[: state.poses.shape[0]]
-    return problem_of(records, identities, start, settings.motion), poses
+    prior = Prior.exact(worlds.START[: state.poses.shape[0]])
+    return problem_of(records, identities, prior, settings.motion), poses
 
 
 def covariance_of(found):
-    """(3 P, 3 P) of the poses."""
-    deviations = found.factor.solve_upper(np.eye(found.factor.size))[: found.poses.size]
+    """(3 P, 3 P) of the records' poses."""
+    own = slice(3 * len(found.anchors), found.poses.size)
+    deviations = found.factor.solve_upper(np.eye(found.factor.size))[own]
     return deviations @ deviations.T
 
 
@@ -88,14 +90,19 @@ def straight(seed=0, poses=6, landmarks=4):
     R = roots @ roots.transpose(0, 2, 1) + 1e-3 * np.eye(3)
     noise = (np.linalg.cholesky(R) @ rng.standard_normal((len(truth), 3, 1)))[:, :, 0]
     return Problem(
-        start_poses=np.zeros((1, 3)),
-        robots=np.zeros(poses, int),
-        previous=np.arange(poses) - 1,
+        prior=start_of(np.zeros((1, 3))),
+        robots=np.zeros(1 + poses, int),
+        previous=np.arange(poses),
         motions=np.tile([1.0, 0.2, 0.0], (poses, 1)),
         sigmas=np.tile([0.1, 0.2, 1e-9], (poses, 1)),
-        seen_from=seen_from,
+        seen_from=1 + seen_from,
         starts=poses * np.arange(landmarks + 1),
         positions=truth + noise,
         information=pack(np.linalg.inv(R)),
         ids=np.arange(landmarks),
     )
+
+
+def start_of(poses):
+    """A problem's prior: nothing but known start poses (K, 3)."""
+    return Prior.exact(poses).active(np.arange(len(poses)), np.empty(0, int))

@@ -8,7 +8,7 @@ import numpy as np
 from multi_robot_slam.filter.history import History
 from multi_robot_slam.filter.landmarks import Landmarks
 from multi_robot_slam.smoothing.odometry_scale import Scales
-from multi_robot_slam.smoothing.problem import Known
+from multi_robot_slam.smoothing.prior import Prior
 
 
 class Fixed(NamedTuple):
@@ -16,10 +16,8 @@ class Fixed(NamedTuple):
 
     records: int
     """How many records of the history it has."""
-    start_poses: np.ndarray
-    """(K, 3) float64: x, y [m], yaw [rad] of each robot at its end, in `map`."""
-    known: Known
-    """What it says of landmarks."""
+    prior: Prior
+    """What it says of the poses at its end and of landmarks."""
 
 
 @dataclass
@@ -48,7 +46,7 @@ class State:
     """(M,) int32: which of `fixed` each particle's past begins with."""
 
     def __post_init__(self) -> None:
-        self.fixed = (Fixed(0, self.start_poses, Known.nothing()),)
+        self.fixed = (Fixed(0, Prior.exact(self.start_poses)),)
         self.fixed_of = np.zeros(len(self.log_weights), np.int32)
         self.origins = np.arange(len(self.log_weights), dtype=np.int32)
 

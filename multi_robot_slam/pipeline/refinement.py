@@ -16,6 +16,7 @@ from multi_robot_slam.runs import Run
 from multi_robot_slam.smoothing import joining, marginals, solve
 from multi_robot_slam.smoothing.aliases import Aliases
 from multi_robot_slam.smoothing.odometry_scale import Scales, learn
+from multi_robot_slam.smoothing.prior import Prior
 from multi_robot_slam.smoothing.problem import Problem, problem_of
 from multi_robot_slam.smoothing.solve import Smoothed, SmoothingError
 
@@ -112,7 +113,7 @@ def refine(lineage: Lineage, landmarks: LandmarkMap, config: Config) -> Refined:
     problem, smoothed, _ = joining.smooth_and_join(
         smoothed_with, poses, alike, settings.gate, settings.exclusive
     )
-    paths = _trajectories(records, smoothed.poses, config)
+    paths = _trajectories(records, smoothed.of_records, config)
     return Refined(paths, _map(problem, smoothed, landmarks))
 
 
@@ -143,7 +144,7 @@ def yardstick(
     poses = np.array([record.poses[:, row] for record, row in lineage])
     certain = joining.widened_gate(config.filter.robust_above, sum(map(len, identities)))
     _, smoothed, _ = _smooth(records, identities, poses, _scales(config), certain, config)
-    return _trajectories(records, smoothed.poses, config)
+    return _trajectories(records, smoothed.of_records, config)
 
 
 def _smooth(
@@ -155,15 +156,15 @@ def _smooth(
     config: Config,
 ) -> tuple[Problem, Smoothed, Scales]:
     """The optimum of the paths and of the odometry's factors, from `poses` (P, 3) and `scales`."""
-    motion, starts = config.filter.motion, np.array(config.start_poses)
+    motion, prior = config.filter.motion, Prior.exact(np.array(config.start_poses))
     motions = np.array([record.motion for record in records])
     for _ in range(MOST_ROUNDS):
-        problem = problem_of(records, identities, starts, motion, factors=scales.factors)
+        problem = problem_of(records, identities, prior, motion, scales.factors)
         smoothed = solve.smooth(problem, poses, robust_above)
         learnt = learn(scales, problem, smoothed, motions, fixed=0.0)
         if np.abs(learnt.factors - scales.factors).max() < SMALLEST_CHANGE:
             break
-        scales, poses = learnt, smoothed.poses
+        scales, poses = learnt, smoothed.of_records
     return problem, smoothed, scales
 
 

@@ -1,4 +1,4 @@
-"""The cost that smoothing minimises: residuals along one path, and how far they count.
+"""The cost that smoothing minimises: residuals of one path and its centres, and how far they count.
 
 An observation or sighting counts in full up to a threshold F of D. Beyond it counts less and less:
 dynamic covariance scaling (Agarwal, Tipaldi, Spinello, Stachniss, Burgard 2013).
@@ -8,25 +8,25 @@ import numpy as np
 
 from multi_robot_slam.models.motion import wrap
 from multi_robot_slam.smoothing.kernels import landmarks as kernels
-from multi_robot_slam.smoothing.problem import Problem, with_map
+from multi_robot_slam.smoothing.problem import Problem
 
 
 def landmarks_and_distances(
-    problem: Problem, poses: np.ndarray, weights: np.ndarray
+    problem: Problem, views: np.ndarray, weights: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The landmarks (N, 9) given one path (P, 3), and D (O + S,) of observations and sightings."""
-    count, poses = len(problem.positions), with_map(poses)
+    """The landmarks (N, 9) given `views` (V, 3), and D (O + S,) of observations and sightings."""
+    count = len(problem.positions)
     landmarks, distances = np.empty((len(problem.ids), 9)), np.empty(len(weights))
-    kernels.fit_landmarks(problem.observations(weights), poses, landmarks)
-    kernels.mahalanobis_sq(problem.observations(), poses, landmarks, distances[:count])
-    kernels.sighting_mahalanobis_sq(problem.sighted, poses, distances[count:])
+    kernels.fit_landmarks(problem.observations(weights), views, landmarks)
+    kernels.mahalanobis_sq(problem.observations(), views, landmarks, distances[:count])
+    kernels.sighting_mahalanobis_sq(problem.sighted, views, distances[count:])
     return landmarks, distances
 
 
-def odometry_residuals(problem: Problem, poses: np.ndarray) -> np.ndarray:
+def odometry_residuals(problem: Problem, views: np.ndarray) -> np.ndarray:
     """(P, 3): (x_p (-) x_previous - u) / sigma."""
-    before = problem.poses_before(poses)
-    difference = poses - before
+    before = views[problem.previous]
+    difference = views[len(problem.anchors) : problem.poses] - before
     cos, sin = np.cos(before[:, 2]), np.sin(before[:, 2])
     seen = np.column_stack(
         [
@@ -40,10 +40,17 @@ def odometry_residuals(problem: Problem, poses: np.ndarray) -> np.ndarray:
     return residuals / problem.sigmas
 
 
+def prior_residuals(problem: Problem, views: np.ndarray) -> np.ndarray:
+    """(3 A + 2 a,): anchors and centres less their prior means."""
+    anchors = views[: len(problem.anchors)] - problem.prior.poses
+    anchors[:, 2] = wrap(anchors[:, 2])
+    return np.append(anchors, views[problem.poses :, :2] - problem.prior.centres[:, :2])
+
+
 def thresholds_of(problem: Problem, threshold: float) -> np.ndarray:
-    """(O + S,): F of each observation and sighting; what is `Known` counts in full at any D."""
+    """(O + S,): F of each observation and sighting; those from centres count in full at any D."""
     thresholds = np.full(len(problem.positions) + len(problem.sighted.seen), threshold)
-    thresholds[np.flatnonzero(problem.seen_from < 0)] = np.inf
+    thresholds[np.flatnonzero(problem.seen_from >= problem.poses)] = np.inf
     return thresholds
 
 
@@ -59,8 +66,10 @@ def robust(mahalanobis_sq: np.ndarray, thresholds: np.ndarray) -> np.ndarray:
 
 
 def cost(
-    problem: Problem, poses: np.ndarray, mahalanobis_sq: np.ndarray, threshold: float
+    problem: Problem, views: np.ndarray, mahalanobis_sq: np.ndarray, threshold: float
 ) -> float:
     """Half the sum of squared, robust, whitened residuals."""
     distances = robust(mahalanobis_sq, thresholds_of(problem, threshold))
-    return 0.5 * float(np.sum(odometry_residuals(problem, poses) ** 2) + np.sum(distances))
+    odometry, known = odometry_residuals(problem, views), prior_residuals(problem, views)
+    of_prior = known @ (problem.prior.information @ known)
+    return 0.5 * float(np.sum(odometry**2) + np.sum(distances) + of_prior)

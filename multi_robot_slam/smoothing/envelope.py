@@ -9,7 +9,9 @@ together, however late a loop was closed, which keeps the envelope small: for a 
 building a fifth of the triangle, and a twentieth of its arithmetic. Rows and columns are handled in
 tiles, each product of tiles by BLAS.
 
-Unknowns have three rows each: the P poses x, y and yaw, then the H hubs x, y and z; U = P + H.
+Unknowns are the A + P poses, x, y and yaw, the a centres of the prior, x and y, and the H hubs, x,
+y and z, in this order; U of them. They are eliminated in another: the poses of records, hubs,
+anchors, and the centres last, since the prior ties anchors and centres to each other.
 """
 
 from dataclasses import dataclass
@@ -22,7 +24,7 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 from multi_robot_slam.smoothing.problem import Problem
 
 TILE = 24
-"""Unknowns of a tile: large enough for BLAS to be fast, small enough to follow the envelope."""
+"""Poses of a tile: large enough for BLAS to be fast, small enough to follow the envelope."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,27 +38,24 @@ class Envelope:
     hubs: np.ndarray
     """(H,): the landmarks that are not eliminated."""
     order: np.ndarray
-    """(U,): the unknowns in their order, poses before hubs."""
-    place: np.ndarray
-    """(U,): place of each unknown in the order."""
+    """(U,): the unknowns in their order of elimination."""
+    rows_of: np.ndarray
+    """(U,): first row of each unknown in that order."""
+    places: np.ndarray
+    """(rows,): the rows by unknown among the rows by place."""
     edges: np.ndarray
-    """(T + 1,): tile t has the rows edges[t] .. edges[t + 1] - 1, three for each unknown."""
-    begins: np.ndarray
-    """(T,): first column of the tile's rows, an edge."""
+    """(T + 1,): tile t has the rows edges[t] .. edges[t + 1] - 1."""
+    first_tiles: np.ndarray
+    """(T,): first tile whose columns the tile's rows have."""
     origins: np.ndarray
-    """(3 U,): row r, column c is element origins[r] + c."""
+    """(rows,): row r, column c is element origins[r] + c."""
     size: int
     """Number of elements."""
 
     @property
-    def rows(self) -> np.ndarray:
-        """(3 U,): the rows by place among the rows by unknown."""
-        return (3 * self.order[:, None] + np.arange(3)).ravel()
-
-    @property
-    def places(self) -> np.ndarray:
-        """(3 U,): the rows by unknown among the rows by place."""
-        return (3 * self.place[:, None] + np.arange(3)).ravel()
+    def begins(self) -> np.ndarray:
+        """(T,): first column of the tile's rows, an edge."""
+        return self.edges[self.first_tiles]
 
     @property
     def multiplications(self) -> int:
@@ -87,11 +86,11 @@ class Factor:
 
     @property
     def size(self) -> int:
-        """3 U, the number of rows."""
+        """The number of rows."""
         return int(self.envelope.edges[-1])
 
     def solve_lower(self, right: np.ndarray) -> np.ndarray:
-        """L^-1 (3 U, ...), by place, of `right` (3 P, ...), by pose, which is zero for the hubs."""
+        """L^-1 (rows, ...), by place, of `right`, by unknown; what it lacks at the end is zero."""
         result = np.zeros((self.size, *right.shape[1:]))
         result[self.envelope.places[: len(right)]] = right
         for rows, left, tile, inverse in self._by_tile():
@@ -99,14 +98,12 @@ class Factor:
         return result
 
     def solve_upper(self, right: np.ndarray) -> np.ndarray:
-        """L^-T of `right` (3 U, ...), by place, in its precision; the result is by unknown."""
+        """L^-T of `right` (rows, ...), by place, in its precision; the result is by unknown."""
         solved = right.copy()
         for rows, left, tile, inverse in reversed(self._by_tile()):
             solved[rows] = inverse.T.astype(right.dtype, copy=False) @ solved[rows]
             solved[left] -= tile.T.astype(right.dtype, copy=False) @ solved[rows]
-        result = np.empty_like(solved)
-        result[self.envelope.rows] = solved
-        return result
+        return solved[self.envelope.places]
 
     def _by_tile(self) -> list[tuple[slice, slice, np.ndarray, np.ndarray]]:
         edges, begins = self.envelope.edges, self.envelope.begins
@@ -127,7 +124,7 @@ def factorise(envelope: Envelope, elements: np.ndarray) -> Factor:
     inverses: list[np.ndarray] = []
     for i, tile in enumerate(envelope.tiles(elements)):
         left = tile[:, : edges[i] - begins[i]]
-        for k in range(begins[i] // edges[1], i):
+        for k in range(envelope.first_tiles[i], i):
             common = max(begins[i], begins[k])
             own = left[:, edges[k] - begins[i] : edges[k + 1] - begins[i]]
             before = left[:, common - begins[i] : edges[k] - begins[i]]
@@ -141,65 +138,88 @@ def factorise(envelope: Envelope, elements: np.ndarray) -> Factor:
 
 
 def envelope_of(problem: Problem, hubs: np.ndarray) -> Envelope:
-    """The envelope of the information of a problem's poses and `hubs` (H,), other landmarks out."""
+    """The envelope of the information of poses, centres and `hubs` (H,), other landmarks out."""
     is_hub = np.zeros(len(problem.ids), bool)
     is_hub[hubs] = True
+    views, centres = len(problem.columns) - 1, len(problem.prior.rows)
     order = _order(problem, is_hub)
-    late_first = np.argsort(-_earliest(problem, _inverse(order))[hubs], kind="stable")
-    order = np.append(order, len(order) + late_first)
-    place = _inverse(order)
-    edges = np.append(np.arange(0, len(order), TILE), len(order))
-    first = np.minimum.reduceat(_first_columns(problem, hubs, is_hub, place), edges[:-1])
-    begins, edges = 3 * (first // TILE) * TILE, 3 * edges
-    widths = np.repeat(edges[1:] - begins, np.diff(edges))
-    ends = np.cumsum(widths)
-    origins = ends - widths - np.repeat(begins, np.diff(edges))
-    return Envelope(hubs, order, place, edges, begins, origins, int(ends[-1]))
+    earliest = _earliest(problem, _inverse(order, views))
+    hubs_in_order = views + np.argsort(-earliest[hubs], kind="stable")
+    anchors = np.arange(len(problem.anchors))
+    order = np.concatenate([order, hubs_in_order, anchors, np.arange(problem.poses, views)])
+    place = _inverse(order, len(order))
+    first = _first_places(problem, hubs, is_hub, place)
+    last_part = len(order) - centres
+    tiles = np.concatenate(
+        [np.arange(0, last_part, TILE), np.arange(last_part, len(order), 3 * TILE // 2)]
+    )
+    first_tiles = np.searchsorted(tiles, np.minimum.reduceat(first, tiles), side="right") - 1
+    widths = np.full(len(order), 3)
+    widths[problem.poses : views] = 2
+    ends = np.cumsum(widths[order])
+    edges = np.append((ends - widths[order])[tiles], ends[-1])
+    rows_of = (ends - widths[order])[place]
+    inside = np.arange(ends[-1]) - np.repeat(np.cumsum(widths) - widths, widths)
+    begins, heights = edges[first_tiles], np.diff(edges)
+    kept = np.repeat(edges[1:] - begins, heights)
+    element_ends = np.cumsum(kept)
+    return Envelope(
+        hubs=hubs,
+        order=order,
+        rows_of=rows_of,
+        places=np.repeat(rows_of, widths) + inside,
+        edges=edges,
+        first_tiles=first_tiles,
+        origins=element_ends - kept - np.repeat(begins, heights),
+        size=int(element_ends[-1]),
+    )
 
 
 def _order(problem: Problem, is_hub: np.ndarray) -> np.ndarray:
-    """(P,) the poses by reverse Cuthill-McKee of the graph of poses and eliminated landmarks."""
-    poses, size = len(problem.robots), len(problem.robots) + len(problem.ids)
-    out = (problem.seen_from >= 0) & ~is_hub[problem.landmarks]
-    following = np.flatnonzero(problem.previous >= 0)
+    """(P,) the records' poses by reverse Cuthill-McKee of the graph of poses and landmarks."""
+    poses, size = problem.poses, problem.poses + len(problem.ids)
+    out = (problem.seen_from < poses) & ~is_hub[problem.landmarks]
+    own = len(problem.anchors) + np.arange(len(problem.previous))
     landmarks, sighted = poses + problem.landmarks[out], problem.sighted
-    one = np.concatenate([problem.seen_from[out], following, sighted.seen_from])
-    other = np.concatenate([landmarks, problem.previous[following], sighted.seen])
+    one = np.concatenate([problem.seen_from[out], own, sighted.seen_from])
+    other = np.concatenate([landmarks, problem.previous, sighted.seen])
     rows, columns = np.append(one, other), np.append(other, one)
     graph = csr_array((np.ones(len(rows), np.int8), (rows, columns)), (size, size))
     order = reverse_cuthill_mckee(graph, symmetric_mode=True).astype(np.int64)
-    return order[order < poses]
+    return order[(order >= len(problem.anchors)) & (order < poses)]
 
 
-def _inverse(order: np.ndarray) -> np.ndarray:
-    """The place of each in the order."""
-    place = np.empty_like(order)
+def _inverse(order: np.ndarray, size: int) -> np.ndarray:
+    """(size,) the place of each in the order; of those that are not in it: its end."""
+    place = np.full(size, len(order))
     place[order] = np.arange(len(order))
     return place
 
 
 def _earliest(problem: Problem, place: np.ndarray) -> np.ndarray:
-    """(N,) place of the first pose that saw each landmark."""
-    moving = problem.seen_from >= 0
+    """(N,) place of the first view that saw each landmark."""
     earliest = np.full(len(problem.ids), len(place) - 1)
-    np.minimum.at(earliest, problem.landmarks[moving], place[problem.seen_from[moving]])
+    np.minimum.at(earliest, problem.landmarks, place[problem.seen_from])
     return earliest
 
 
-def _first_columns(
+def _first_places(
     problem: Problem, hubs: np.ndarray, is_hub: np.ndarray, place: np.ndarray
 ) -> np.ndarray:
     """(U,) place of the first unknown that the one at each place shares a measurement with."""
-    earliest = _earliest(problem, place)
+    earliest, views = _earliest(problem, place), len(problem.columns) - 1
     first = np.arange(len(place))
-    of_hubs = place[len(problem.robots) :]
-    first[of_hubs] = np.minimum(of_hubs, earliest[hubs])
-    out = (problem.seen_from >= 0) & ~is_hub[problem.landmarks]
-    np.minimum.at(first, place[problem.seen_from[out]], earliest[problem.landmarks[out]])
-    following = np.flatnonzero(problem.previous >= 0)
+    own = len(problem.anchors) + np.arange(len(problem.previous))
+    sighted, seen, of_hub = problem.sighted, problem.landmarks, is_hub[problem.landmarks]
+    hub_places = np.empty(len(problem.ids), np.int64)
+    hub_places[hubs] = place[views:]
     for one, other in (
-        (place[following], place[problem.previous[following]]),
-        (place[problem.sighted.seen_from], place[problem.sighted.seen]),
+        (place[own], place[problem.previous]),
+        (place[sighted.seen_from], place[sighted.seen]),
+        (place[problem.seen_from[~of_hub]], earliest[seen[~of_hub]]),
+        (place[problem.seen_from[of_hub]], hub_places[seen[of_hub]]),
     ):
         np.minimum.at(first, np.maximum(one, other), np.minimum(one, other))
+    tied = np.append(place[: len(problem.anchors)], place[problem.poses : views])
+    first[tied] = np.minimum(first[tied], tied.min(initial=len(place)))
     return first

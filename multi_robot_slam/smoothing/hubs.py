@@ -30,7 +30,7 @@ def _candidates(problem: Problem) -> Iterator[np.ndarray]:
     """No hubs, then the landmarks seen over more than 1/2, 1/8, 1/32, ... of the poses."""
     hubs = np.empty(0, np.int64)
     yield hubs
-    spans, limit = _spans(problem), len(problem.robots) // 2
+    spans, limit = _spans(problem), problem.poses // 2
     while limit > TILE:
         before, hubs = hubs, np.flatnonzero(spans > limit)
         if len(hubs) > len(before):
@@ -40,9 +40,9 @@ def _candidates(problem: Problem) -> Iterator[np.ndarray]:
 
 def _spans(problem: Problem) -> np.ndarray:
     """(N,) from how many poses before its last observation each landmark was seen first."""
-    moving = problem.seen_from >= 0
+    moving = problem.seen_from < problem.poses
     seen_from, landmarks = problem.seen_from[moving], problem.landmarks[moving]
-    first = np.full(len(problem.ids), len(problem.robots))
+    first = np.full(len(problem.ids), problem.poses)
     last = np.full(len(problem.ids), -1)
     np.minimum.at(first, landmarks, seen_from)
     np.maximum.at(last, landmarks, seen_from)

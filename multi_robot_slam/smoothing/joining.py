@@ -56,7 +56,7 @@ def smooth_and_join(
         joined = closest_pairs(problem, smoothed, rows, gate, exclusive)
         if not len(joined):
             return problem, smoothed, aliases
-        poses, aliases = smoothed.poses, aliases.joined(problem.ids[joined])
+        poses, aliases = smoothed.of_records, aliases.joined(problem.ids[joined])
 
 
 def _distinct(pairs: np.ndarray) -> np.ndarray:
@@ -114,9 +114,6 @@ def _mahalanobis_sq(problem: Problem, smoothed: Smoothed, pairs: np.ndarray) -> 
 
 
 def _seen_together(problem: Problem, one: int, other: int) -> bool:
-    """Some frame has observations of both: they are two.
-
-    Fixed poses count as one frame: which of them saw both is no longer known.
-    """
+    """Some frame has observations of both: they are two. Frames that have left do not testify."""
     first, second = (problem.seen_from[slice(*problem.starts[n : n + 2])] for n in (one, other))
     return bool(len(np.intersect1d(first, second)))

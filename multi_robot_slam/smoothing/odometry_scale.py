@@ -53,7 +53,7 @@ def learn(
     """
     if not len(scales.information):
         return scales
-    gradient, curvature = _profile(problem, smoothed, motions)
+    gradient, curvature = _profile(problem, smoothed, motions, len(scales.mean))
     old = scales.factors.ravel()
     pull = gradient + scales.information @ (old - scales.mean)
     information = scales.information + fixed * curvature
@@ -67,24 +67,25 @@ def learn(
 
 
 def _profile(
-    problem: Problem, smoothed: Smoothed, motions: np.ndarray
+    problem: Problem, smoothed: Smoothed, motions: np.ndarray, unknown: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """dr/ds^T r (2 K,) and S (2 K, 2 K) at the optimum of the paths."""
-    count, poses, unknown = len(motions), smoothed.poses, 2 * len(problem.start_poses)
+    """dr/ds^T r (2 K,) and S (2 K, 2 K) at the optimum of the paths; 2 K are `unknown`."""
+    count, poses = len(motions), smoothed.poses
     jacobians = np.empty((count, 3, 6))
-    before = problem.poses_before(poses)
-    odometry_jacobians(before, problem.sigmas, poses, jacobians)
+    before = poses[problem.previous]
+    odometry_jacobians(before, problem.sigmas, smoothed.of_records, jacobians)
     by_scale = np.zeros((count, 3, unknown))
     rows, told = np.arange(count), -motions / problem.sigmas
-    by_scale[rows, 0, 2 * problem.robots] = told[:, 0]
-    by_scale[rows, 1, 2 * problem.robots] = told[:, 1]
-    by_scale[rows, 2, 2 * problem.robots + 1] = told[:, 2]
+    robots = problem.robots[len(problem.anchors) :]
+    by_scale[rows, 0, 2 * robots] = told[:, 0]
+    by_scale[rows, 1, 2 * robots] = told[:, 1]
+    by_scale[rows, 2, 2 * robots + 1] = told[:, 2]
     gradient = np.einsum("prs,pr->s", by_scale, odometry_residuals(problem, poses))
     mixed = np.einsum("pri,prs->pis", jacobians, by_scale)
-    by_pose = mixed[:, 3:].copy()
-    follows = np.flatnonzero(problem.previous >= 0)
-    np.add.at(by_pose, problem.previous[follows], mixed[follows, :3])
-    solved = smoothed.factor.solve_lower(by_pose.reshape(3 * count, unknown))
+    by_pose = np.zeros((len(poses), 3, unknown))
+    by_pose[len(problem.anchors) :] = mixed[:, 3:]
+    np.add.at(by_pose, problem.previous, mixed[:, :3])
+    solved = smoothed.factor.solve_lower(by_pose.reshape(3 * len(poses), unknown))
     return gradient, np.einsum("prs,prt->st", by_scale, by_scale) - solved.T @ solved
 
 

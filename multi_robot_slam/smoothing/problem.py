@@ -9,16 +9,7 @@ import numpy as np
 from multi_robot_slam.models.frames import NOBODY, Record
 from multi_robot_slam.models.motion import MotionSettings, standard_deviations
 from multi_robot_slam.models.symmetric import inverses
-
-SMALLEST_SIGMA = 1e-5
-"""Floor of odometry's standard deviations [m, rad].
-
-A robot that stood still has exact odometry; the information must stay finite all the same. A
-hundredth of a millimetre is nothing beside what any camera sees.
-"""
-
-MAP = -1
-"""Stands for the pose of an observation whose position is in `map` already."""
+from multi_robot_slam.smoothing.prior import SMALLEST_SIGMA, Active, Prior
 
 
 class PoseSightings(NamedTuple):
@@ -51,49 +42,58 @@ class Observations(NamedTuple):
     """(O, 6), times the observations' weights."""
 
 
-class Known(NamedTuple):
-    """What is known of n landmarks from poses that no longer move."""
-
-    ids: np.ndarray
-    """(n,) int64: identities, ascending."""
-    positions: np.ndarray
-    """(n, 3) float64: mean in `map` [m]."""
-    information: np.ndarray
-    """(n, 6) float64: inverse of the covariance [1/m^2]."""
-
-    @classmethod
-    def nothing(cls) -> "Known":
-        return cls(np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 6)))
-
-
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What was measured: P poses of K robots, O observations of N landmarks, ordered by landmark.
+    """What was measured, and what was known before.
 
-    Every pose follows another one of the same robot, or the robot's known start pose.
+    A + P poses: anchors, then those of P records; N landmarks with O observations, ordered by
+    landmark. V = A + P + a views: the poses, then a centres, each with one observation of its own.
     """
 
-    start_poses: np.ndarray
-    """(K, 3) float64: x, y [m], yaw [rad] in `map`, known exactly."""
+    prior: Active
+    """Of the anchors and centres."""
     robots: np.ndarray
-    """(P,) int64: index of the robot."""
+    """(A + P,) int64: index of the robot."""
     previous: np.ndarray
-    """(P,) int64: the pose before, -1 for the start pose; always smaller than the own index."""
+    """(P,) int64: the pose before that of each record, smaller than its own."""
     motions: np.ndarray
     """(P, 3) float64: u since the pose before, in its body frame [m, m, rad]."""
     sigmas: np.ndarray
     """(P, 3) float64: standard deviations of `motions`, above zero."""
     seen_from: np.ndarray
-    """(O,) int64: pose of each observation, or MAP; ascending within a landmark."""
+    """(O,) int64: view of each observation, ascending within a landmark."""
     starts: np.ndarray
     """(N + 1,) int64: landmark n has the observations starts[n] .. starts[n + 1] - 1."""
     positions: np.ndarray
-    """(O, 3) float64: v in `base_link` (of MAP: in `map`) [m]."""
+    """(O, 3) float64: v in `base_link`; of centres: (0, 0, k_z) [m]."""
     information: np.ndarray
-    """(O, 6) float64: R^-1 in the same frame [1/m^2]."""
+    """(O, 6) float64: R^-1 in the same frame; of centres: Lambda [1/m^2]."""
     ids: np.ndarray
     """(N,) int64: identity of each landmark, ascending."""
     sighted: PoseSightings = field(default_factory=PoseSightings.none)
+
+    @property
+    def anchors(self) -> np.ndarray:
+        """(A,) int64: robots whose anchors are the first poses."""
+        return self.prior.robots
+
+    @property
+    def poses(self) -> int:
+        """A + P, also the first view that is a centre."""
+        return len(self.robots)
+
+    @property
+    def columns(self) -> np.ndarray:
+        """(V + 1,) int64: views begin at these among the rows of poses, 3 each, and centres, 2."""
+        centres = 3 * self.poses + 2 * np.arange(len(self.prior.rows) + 1)
+        return np.append(3 * np.arange(self.poses), centres)
+
+    @property
+    def prior_columns(self) -> np.ndarray:
+        """(3 A + 2 a,) int64: rows of anchors and centres among those of all views."""
+        columns = self.columns
+        anchors = np.arange(3 * len(self.anchors))
+        return np.append(anchors, np.arange(columns[self.poses], columns[-1]))
 
     @property
     def landmarks(self) -> np.ndarray:
@@ -114,19 +114,14 @@ class Problem:
         information = self.sighted.information * weights[len(self.positions) :, None]
         return self.sighted._replace(information=information)
 
-    def poses_before(self, poses: np.ndarray) -> np.ndarray:
-        """(P, 3): the pose that each of `poses` (P, 3) follows."""
-        starts = self.start_poses[self.robots]
-        return np.where(self.previous[:, None] < 0, starts, poses[self.previous])
-
 
 def problem_of(
     records: Sequence[Record],
     identities: Sequence[np.ndarray],
-    start_poses: np.ndarray,
+    prior: Prior,
     noise: MotionSettings,
-    known: Known | None = None,
     factors: np.ndarray | None = None,
+    also: Sequence[int] | np.ndarray = (),
 ) -> Problem:
     """The problem that a history poses.
 
@@ -135,50 +130,60 @@ def problem_of(
     records : P frames of all robots, oldest first.
     identities : for each record (B,), which landmark each observation is of; below 0: of none, a
         gross error.
-    start_poses : (K, 3).
-    known : what older poses say of landmarks (`marginals.marginalise`); ids in any order.
+    prior : what is known of the poses before the first records, and of landmarks. Of its landmarks
+        the problem holds those in `identities`, those in `also`, and those with several centres.
     factors : (K, 2) of the odometry's distances and turns; default: none.
+    also : ids of landmarks that the problem shall hold although no record names them.
 
     """
-    known = known or Known.nothing()
     robots = np.array([record.robot for record in records], np.int64)
+    anchors = np.unique(robots)
     motions = np.array([record.motion for record in records], float).reshape(-1, 3)
     seconds = np.array([record.seconds for record in records])
     sigmas = standard_deviations(motions.T, seconds, noise).T
     if factors is not None:
         motions = motions * factors[robots][:, [0, 0, 1]]
+    named = np.concatenate([np.empty(0, np.int64), *identities]).astype(np.int64)
+    active = prior.active(anchors, _active_centres(prior.ids, np.append(named, also)))
     counts = [len(record.positions) for record in records]
-    seen_from = np.concatenate(
-        [np.full(len(known.ids), MAP), np.repeat(np.arange(len(records)), counts)]
-    )
-    seen = np.concatenate([known.ids, *identities]).astype(np.int64)
+    views = len(anchors) + len(records) + np.arange(len(active.ids))
+    seen_from = np.append(np.repeat(len(anchors) + np.arange(len(records)), counts), views)
+    seen = np.append(named, active.ids)
     positions = np.concatenate([np.empty((0, 3)), *(record.positions for record in records)])
     covariances = np.concatenate([np.empty((0, 6)), *(record.covariances for record in records)])
     order = np.argsort(seen, kind="stable")
     order = order[np.searchsorted(seen[order], 0) :]
     ids, first = np.unique(seen[order], return_index=True)
+    information = np.concatenate([inverses(covariances), active.landmark_information])
+    all_robots = np.append(anchors, robots)
     return Problem(
-        start_poses=np.asarray(start_poses, float),
-        robots=robots,
-        previous=_previous(robots),
+        prior=active,
+        robots=all_robots,
+        previous=_previous(all_robots)[len(anchors) :],
         motions=motions,
         sigmas=np.maximum(sigmas, SMALLEST_SIGMA),
         seen_from=seen_from[order],
         starts=np.append(first, len(order)),
-        positions=np.concatenate([known.positions, positions])[order],
-        information=np.concatenate([known.information, inverses(covariances)])[order],
+        positions=np.concatenate([positions, active.centres * [0, 0, 1]])[order],
+        information=information[order],
         ids=ids,
-        sighted=_sighted(records),
+        sighted=_sighted(records, len(anchors)),
     )
 
 
-def with_map(poses: np.ndarray) -> np.ndarray:
-    """`poses` (P, 3) and, at the end, the one that MAP stands for."""
-    return np.concatenate([poses, np.zeros((1, 3))])
+def views_of(poses: np.ndarray, centres: np.ndarray) -> np.ndarray:
+    """(V, 3): poses (A + P, 3), then centres (a, 2 or 3) as poses that never turn."""
+    return np.concatenate([poses, np.pad(centres[:, :2], ((0, 0), (0, 1)))])
+
+
+def _active_centres(ids: np.ndarray, named: np.ndarray) -> np.ndarray:
+    """Rows of those `ids` (n,) that are `named` or there several times."""
+    _, places, counts = np.unique(ids, return_inverse=True, return_counts=True)
+    return np.flatnonzero(np.isin(ids, named) | (counts[places] > 1))
 
 
 def _previous(robots: np.ndarray) -> np.ndarray:
-    """(P,) the pose before of the same robot, -1 where there is none."""
+    """The pose before of the same robot, -1 where there is none."""
     previous = np.full(len(robots), -1)
     for robot in np.unique(robots):
         own = np.flatnonzero(robots == robot)
@@ -186,18 +191,21 @@ def _previous(robots: np.ndarray) -> np.ndarray:
     return previous
 
 
-def _sighted(records: Sequence[Record]) -> PoseSightings:
-    """The sightings of all records; a robot seen has a record of the same step."""
-    pose_of = {(record.step, record.robot): p for p, record in enumerate(records)}
+def _sighted(records: Sequence[Record], first: int) -> PoseSightings:
+    """The sightings of all records, the first of which is pose `first`.
+
+    A robot that is seen has a record of the same step.
+    """
+    pose_of = {(record.step, record.robot): first + p for p, record in enumerate(records)}
     sightings = [record.sightings for record in records]
-    seen_from = np.repeat(np.arange(len(records)), [len(seen.others) for seen in sightings])
+    own = np.repeat(np.arange(len(records)), [len(seen.others) for seen in sightings])
     others = np.concatenate([NOBODY.others, *(seen.others for seen in sightings)])
     seen = [
         pose_of[records[p].step, other]
-        for p, other in zip(seen_from.tolist(), others.tolist(), strict=True)
+        for p, other in zip(own.tolist(), others.tolist(), strict=True)
     ]
     positions = np.concatenate([NOBODY.positions, *(seen.positions for seen in sightings)])
     covariances = np.concatenate([NOBODY.covariances, *(seen.covariances for seen in sightings)])
     xx, xy, yy = covariances.T
     information = np.column_stack([yy, -xy, xx]) / (xx * yy - xy * xy)[:, None]
-    return PoseSightings(seen_from, np.array(seen, np.int64), positions, information)
+    return PoseSightings(first + own, np.array(seen, np.int64), positions, information)

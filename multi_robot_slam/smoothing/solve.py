@@ -1,8 +1,9 @@
 """Smoothing: the most likely paths of all robots and landmarks, given who saw what.
 
-Unknown are P poses x_p = (x, y, yaw) and N landmarks l_n. Three kinds of residuals tie them
-together:
+Unknown are poses x_p = (x, y, yaw), N landmarks l_n, and the centres k_c = (x, y) that an older past
+has left of some of the landmarks (`prior`). Four kinds of residuals tie them together:
 
+    prior        r = (anchors, centres) - m,            N(0, P)
     odometry     r = x_p (-) x_previous(p) - u_p,       N(0, diag(sigma_p^2)), as in (7)
     observation  e = l_n - p - Rz v,                    N(0, Rz R Rz^T), as in (8) turned into `map`
     sighting     e = p_q - p_p - Rz s,                  the same in the plane: robot p sees robot q
@@ -12,10 +13,11 @@ covariances are sums:
 
     W = Rz R^-1 Rz^T,   Lambda = sum W,   Lambda l = sum W (p + Rz v)
 
-which is what the filter's EKFs along this path would hold. Gauss-Newton runs over the poses alone;
-with the landmarks at their best the Schur complement of the full system is
+which is what the filter's EKFs along this path would hold. A centre counts as a pose p = k without
+yaw whose landmark was seen at (0, 0, k_z). Gauss-Newton runs over poses and centres; with the
+landmarks at their best the Schur complement of the full system is
 
-    H = H_odometry + H_sightings
+    H = H_prior + H_odometry + H_sightings
         + sum_o J^T W J - sum_n (sum_i J_i^T W_i) Lambda^-1 (sum_j W_j J_j)
 
 with J = de/dx = [-1 0 q_y; 0 -1 -q_x; 0 0 0], q = l - p. A landmark that would make it too dense
@@ -38,7 +40,7 @@ from multi_robot_slam.smoothing.cost import (
 from multi_robot_slam.smoothing.envelope import Envelope, Factor, factorise
 from multi_robot_slam.smoothing.hubs import cheapest_envelope
 from multi_robot_slam.smoothing.linearised import gradient_of, information_of
-from multi_robot_slam.smoothing.problem import Problem
+from multi_robot_slam.smoothing.problem import Problem, views_of
 
 MAX_ITERATIONS = 100
 MAX_HALVINGS = 12
@@ -61,17 +63,33 @@ class SmoothingError(ValueError):
 class Smoothed:
     """The optimum, and the Gaussian around it."""
 
+    anchors: np.ndarray
+    """(A,) int64: robots whose anchors are the first poses."""
+    ids: np.ndarray
+    """(a,) int64: landmark of each centre."""
     poses: np.ndarray
-    """(P, 3) float64: x, y [m], yaw [rad] in `map`."""
+    """(A + P, 3) float64: anchors, then the records' poses: x, y [m], yaw [rad] in `map`."""
+    centres: np.ndarray
+    """(a, 3) float64: x, y, and the z that is known [m]."""
     landmarks: np.ndarray
-    """(N, 9) float64: mean [m] and covariance [m^2] given the poses, `xx xy xz yy yz zz`."""
+    """(N, 9) float64: mean [m] and covariance [m^2] given poses and centres, `xx xy xz yy yz zz`."""
     factor: Factor
-    """Cholesky factor of the information of the poses and hubs, other landmarks out."""
+    """Cholesky factor of the information of poses, centres and hubs, other landmarks out."""
     weights: np.ndarray
     """(O + S,) float64: robust weight of each observation and sighting, 0 to 1."""
     cost: float
     """Half the sum of squared, robust, whitened residuals."""
     iterations: int
+
+    @property
+    def of_records(self) -> np.ndarray:
+        """(P, 3): the poses without the anchors."""
+        return self.poses[len(self.anchors) :]
+
+    @property
+    def views(self) -> np.ndarray:
+        """(V, 3): the poses, then the centres with yaw 0."""
+        return views_of(self.poses, self.centres)
 
 
 @one_thread
@@ -80,8 +98,9 @@ def smooth(
     poses: np.ndarray,
     robust_above: float = np.inf,
     smallest_step: float = SMALLEST_STEP,
+    start: Smoothed | None = None,
 ) -> Smoothed:
-    """Gauss-Newton from `poses` (P, 3) to the most likely paths and landmarks.
+    """Gauss-Newton from `poses` (P, 3) of the records to the most likely paths and landmarks.
 
     Parameters
     ----------
@@ -90,6 +109,8 @@ def smooth(
         D, so that a loop that `poses` leave open is closed before it could be taken for an error.
     smallest_step : the iteration ends when the step is shorter, in standard deviations of the
         solution.
+    start : where anchors of the same robots and centres of the same landmarks begin; the others
+        begin at the prior's means.
 
     Raises
     ------
@@ -99,66 +120,94 @@ def smooth(
 
     """
     with np.errstate(all="ignore"):  # what is not finite raises `SmoothingError`
-        return _gauss_newton(problem, np.array(poses, float), robust_above, smallest_step)
+        views = _first_views(problem, np.array(poses, float), start)
+        return _gauss_newton(problem, views, robust_above, smallest_step)
+
+
+def _first_views(problem: Problem, poses: np.ndarray, start: Smoothed | None) -> np.ndarray:
+    """(V, 3) where the search begins."""
+    anchors, centres = problem.prior.poses.copy(), problem.prior.centres.copy()
+    if start is not None:
+        _, own, others = np.intersect1d(problem.anchors, start.anchors, return_indices=True)
+        anchors[own] = start.poses[others]
+        ids, first = np.unique(start.ids, return_index=True)
+        known = np.isin(problem.prior.ids, ids)
+        centres[known] = start.centres[first[np.searchsorted(ids, problem.prior.ids[known])]]
+    return views_of(np.concatenate([anchors, poses]), centres)
 
 
 def _gauss_newton(
-    problem: Problem, poses: np.ndarray, robust_above: float, smallest_step: float
+    problem: Problem, views: np.ndarray, robust_above: float, smallest_step: float
 ) -> Smoothed:
     """`smooth`; the factor of an earlier iteration serves again until it `is_outdated`."""
-    envelope = cheapest_envelope(problem)
+    envelope, records = cheapest_envelope(problem), len(problem.previous)
     weights = np.ones(len(problem.positions) + len(problem.sighted.seen))
-    landmarks, mahalanobis_sq = landmarks_and_distances(problem, poses, weights)
-    threshold = max(robust_above, mahalanobis_sq.max(initial=0))
+    landmarks, mahalanobis_sq = landmarks_and_distances(problem, views, weights)
+    doubtful = np.isfinite(thresholds_of(problem, 1.0))
+    threshold = max(robust_above, mahalanobis_sq[doubtful].max(initial=0))
     is_outdated, iterations = True, 0
     while True:
         if iterations == MAX_ITERATIONS:
-            raise SmoothingError(f"smoothing {len(poses)} poses: no end after {iterations} steps")
+            raise SmoothingError(f"smoothing {records} poses: no end after {iterations} steps")
         iterations += 1
         weights = robust_weights(mahalanobis_sq, thresholds_of(problem, threshold))
-        landmarks, mahalanobis_sq = landmarks_and_distances(problem, poses, weights)
-        gradient = gradient_of(problem, poses, landmarks, weights)
+        landmarks, mahalanobis_sq = landmarks_and_distances(problem, views, weights)
+        gradient = gradient_of(problem, views, landmarks, weights)
         if is_outdated:
-            factor, before = _factorised(problem, poses, landmarks, weights, envelope), np.inf
-        step = -factor.solve_upper(factor.solve_lower(gradient))[: poses.size]
+            factor, before = factorised(problem, views, landmarks, weights, envelope), np.inf
+        step = -factor.solve_upper(factor.solve_lower(gradient))[: len(gradient)]
         decrease = -gradient @ step
         if not np.isfinite(decrease):
-            raise SmoothingError(f"smoothing {len(poses)} poses: a step is not finite")
+            raise SmoothingError(f"smoothing {records} poses: a step is not finite")
         length = np.sqrt(max(decrease, 0.0))
-        poses, landmarks, mahalanobis_sq = _line_search(
-            problem, poses, step.reshape(-1, 3), weights, mahalanobis_sq, threshold
+        views, landmarks, mahalanobis_sq = _line_search(
+            problem, views, _by_view(problem, step), weights, mahalanobis_sq, threshold
         )
         if length < smallest_step and threshold <= robust_above:
             break
         is_outdated = threshold > robust_above or length > min(NEAR, before)
         before = length
-        threshold = max(robust_above, min(threshold / SHARPENING, mahalanobis_sq.max(initial=0)))
+        largest = mahalanobis_sq[doubtful].max(initial=0)
+        threshold = max(robust_above, min(threshold / SHARPENING, largest))
     if not is_outdated:
-        factor = _factorised(problem, poses, landmarks, weights, envelope)
-    final = cost(problem, poses, mahalanobis_sq, robust_above)
+        factor = factorised(problem, views, landmarks, weights, envelope)
+    final = cost(problem, views, mahalanobis_sq, robust_above)
     if not np.isfinite(final):
-        raise SmoothingError(f"smoothing {len(poses)} poses: the cost is not finite")
-    return Smoothed(poses, landmarks, factor, weights, final, iterations)
+        raise SmoothingError(f"smoothing {records} poses: the cost is not finite")
+    poses, centres = np.split(views, [problem.poses])
+    centres[:, 2] = problem.prior.centres[:, 2]
+    ids = problem.prior.ids
+    return Smoothed(
+        problem.anchors, ids, poses, centres, landmarks, factor, weights, final, iterations
+    )
 
 
-def _factorised(
+def _by_view(problem: Problem, step: np.ndarray) -> np.ndarray:
+    """(V, 3): a step (3 (A + P) + 2 a,) of poses and centres."""
+    poses, centres = np.split(step, [3 * problem.poses])
+    return views_of(poses.reshape(-1, 3), centres.reshape(-1, 2))
+
+
+def factorised(
     problem: Problem,
-    poses: np.ndarray,
+    views: np.ndarray,
     landmarks: np.ndarray,
     weights: np.ndarray,
     envelope: Envelope,
 ) -> Factor:
     """The Cholesky factor of H; `SmoothingError` where H is not positive definite."""
     try:
-        return factorise(envelope, information_of(problem, poses, landmarks, weights, envelope))
+        return factorise(envelope, information_of(problem, views, landmarks, weights, envelope))
     except np.linalg.LinAlgError as error:
-        message = f"smoothing {len(poses)} poses: the information is not positive definite"
+        message = (
+            f"smoothing {len(problem.previous)} poses: the information is not positive definite"
+        )
         raise SmoothingError(message) from error
 
 
 def _line_search(
     problem: Problem,
-    poses: np.ndarray,
+    views: np.ndarray,
     step: np.ndarray,
     weights: np.ndarray,
     mahalanobis_sq: np.ndarray,
@@ -166,11 +215,11 @@ def _line_search(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The longest of step, step / 2, step / 4, ... that lowers the cost, else the shortest.
 
-    Returns the poses (P, 3) it leads to, the landmarks (N, 9) and D (O + S,) there.
+    Returns the views (V, 3) it leads to, the landmarks (N, 9) and D (O + S,) there.
     """
-    before = cost(problem, poses, mahalanobis_sq, threshold)
+    before = cost(problem, views, mahalanobis_sq, threshold)
     for halvings in range(MAX_HALVINGS):
-        tried = poses + 0.5**halvings * step
+        tried = views + 0.5**halvings * step
         landmarks, mahalanobis_sq = landmarks_and_distances(problem, tried, weights)
         if cost(problem, tried, mahalanobis_sq, threshold) <= before:
             break

@@ -14,46 +14,54 @@ from multi_robot_slam.smoothing.kernels.landmarks import covariance_root, weight
 def add_links(links, system):
     """Add J^T J (lower triangle) of the links."""
     ends, _, jacobians = links
-    rows, _, origins, elements = system
+    rows, _, _, origins, elements = system
     for link in range(len(ends)):
         jacobian = jacobians[link]
-        for i in range(0 if ends[link, 0] >= 0 else 3, 6):
+        for i in range(6):
             row = rows[ends[link, i // 3]] + i % 3
-            for j in range(0 if ends[link, 0] >= 0 else 3, 6):
+            for j in range(6):
                 column = rows[ends[link, j // 3]] + j % 3
                 if column <= row:
                     elements[origins[row] + column] += np.sum(jacobian[:, i] * jacobian[:, j])
 
 
 @kernel
-def add_observations(observations, poses, landmarks, system):
+def add_prior(information, rows, system):
+    """Add the information of anchors and centres (lower triangle), which have `rows` in H."""
+    for i in range(len(rows)):
+        for j in range(len(rows)):
+            if rows[j] <= rows[i]:
+                system.elements[system.origins[rows[i]] + rows[j]] += information[i, j]
+
+
+@kernel
+def add_observations(observations, views, landmarks, system):
     """Add the observations' part of H (lower triangle), landmarks that are no hubs eliminated."""
     starts, seen_from, _, information = observations
-    rows, hubs, origins, elements = system
+    rows, widths, hubs, origins, elements = system
     roots = np.empty((len(seen_from), 3, 3))
     own = np.empty((3, 3))
     for n in range(len(landmarks)):
         root = covariance_root(landmarks[n])
-        first = starts[n]
-        while first < starts[n + 1] and seen_from[first] < 0:
-            first += 1
-        for o in range(first, starts[n + 1]):
-            pose, row = poses[seen_from[o]], rows[seen_from[o]]
-            q_x, q_y = landmarks[n, 0] - pose[0], landmarks[n, 1] - pose[1]
-            weighted_jacobian(information[o], pose, q_x, q_y, own)
-            for i in range(3):
+        for o in range(starts[n], starts[n + 1]):
+            view, row, width = views[seen_from[o]], rows[seen_from[o]], widths[seen_from[o]]
+            q_x, q_y = landmarks[n, 0] - view[0], landmarks[n, 1] - view[1]
+            weighted_jacobian(information[o], view, q_x, q_y, own)
+            for i in range(width):
                 at = origins[row + i] + row
                 elements[at] -= own[i, 0]
-                elements[at + 1] -= own[i, 1]
-                elements[at + 2] += own[i, 0] * q_y - own[i, 1] * q_x
-            if hubs[n] >= 0:
-                add_transposed(own, hubs[n], row, system)
-            else:
+                if i >= 1:
+                    elements[at + 1] -= own[i, 1]
+                if i == 2:
+                    elements[at + 2] += own[i, 0] * q_y - own[i, 1] * q_x
+            if hubs[n] < 0:
                 multiply(own, root, roots[o])
+            else:
+                add_hub_and_view(own, hubs[n], row, width, system)
         if hubs[n] >= 0:
             add_hub(landmarks[n], hubs[n], system)
         else:
-            subtract_pairs(roots, first, starts[n + 1], seen_from, system)
+            subtract_pairs(roots, starts[n], starts[n + 1], seen_from, system)
 
 
 @kernel
@@ -67,17 +75,18 @@ def multiply(a, lower, result):
 
 
 @kernel
-def add_transposed(own, row, column, system):
-    """Add own^T (3, 3) to the block of H at `row`, `column`."""
-    for i in range(3):
+def add_hub_and_view(own, hub, row, width, system):
+    """Add own (3, 3), of a view's `width` rows and a hub, to their block of the lower triangle."""
+    for i in range(width):
         for j in range(3):
-            system.elements[system.origins[row + i] + column + j] += own[j, i]
+            high, low = max(row + i, hub + j), min(row + i, hub + j)
+            system.elements[system.origins[high] + low] += own[i, j]
 
 
 @kernel
 def add_hub(landmark, row, system):
     """Add a hub's own information."""
-    _, _, origins, elements = system
+    _, _, _, origins, elements = system
     (xx, xy, xz, yy, yz, zz), _ = inverse(
         landmark[3], landmark[4], landmark[5], landmark[6], landmark[7], landmark[8]
     )
@@ -92,21 +101,22 @@ def add_hub(landmark, row, system):
 @kernel
 def subtract_pairs(roots, first, last, seen_from, system):
     """Eliminate a landmark: subtract the product of the `roots` of any two of its observations."""
+    rows, widths = system.rows, system.widths
     for o in range(first, last):
         for other in range(first, o + 1):
-            row, column = system.rows[seen_from[o]], system.rows[seen_from[other]]
-            if row < column:
-                subtract_product(roots[other], roots[o], column, row, system)
-            else:
-                subtract_product(roots[o], roots[other], row, column, system)
-            if row == column and other < o:
-                subtract_product(roots[other], roots[o], row, row, system)
+            one, two = seen_from[o], seen_from[other]
+            a, b = roots[o], roots[other]
+            if rows[one] < rows[two]:
+                one, two, a, b = two, one, b, a
+            subtract_product(a, b, rows[one], widths[one], rows[two], widths[two], system)
+            if one == two and other < o:
+                subtract_product(b, a, rows[one], widths[one], rows[one], widths[one], system)
 
 
 @kernel
-def subtract_product(a, b, row, column, system):
-    """Subtract a b^T (3, 3) from the block of H at `row`, `column`."""
-    for i in range(3):
+def subtract_product(a, b, row, height, column, width, system):
+    """Subtract a b^T from the block of H (height, width) at `row`, `column`."""
+    for i in range(height):
         at = system.origins[row + i] + column
-        for j in range(3):
+        for j in range(width):
             system.elements[at + j] -= a[i, 0] * b[j, 0] + a[i, 1] * b[j, 1] + a[i, 2] * b[j, 2]

@@ -1,7 +1,6 @@
-"""The compiled sums over the observations of each landmark, along one path.
+"""The compiled sums over the observations of each landmark, for one path and its centres.
 
-`poses` here have one row more than the problem has poses: zeros, the pose that MAP stands for.
-`observations` are `problem.Observations`, `sightings` `problem.PoseSightings`.
+`views` (V, 3) are poses, then centres with yaw 0. `observations` are `problem.Observations`, `sightings` `problem.PoseSightings`.
 """
 
 import numpy as np
@@ -34,17 +33,17 @@ def difference(pose, landmark, v):
 
 
 @kernel
-def fit_landmarks(observations, poses, landmarks):
+def fit_landmarks(observations, views, landmarks):
     """Mean and covariance (N, 9) of the landmarks: sums of information, as the EKFs hold them."""
     starts, seen_from, positions, information = observations
     for n in range(len(landmarks)):
         h_x = h_y = h_z = xx = xy = xz = yy = yz = zz = 0.0
         for o in range(starts[n], starts[n + 1]):
-            pose, v = poses[seen_from[o]], positions[o]
-            c, s = np.cos(pose[2]), np.sin(pose[2])
+            view, v = views[seen_from[o]], positions[o]
+            c, s = np.cos(view[2]), np.sin(view[2])
             w_xx, w_xy, w_xz, w_yy, w_yz = turned(information[o], c, s)
             w_zz = information[o, 5]
-            at_x, at_y = pose[0] + c * v[0] - s * v[1], pose[1] + s * v[0] + c * v[1]
+            at_x, at_y = view[0] + c * v[0] - s * v[1], view[1] + s * v[0] + c * v[1]
             h_x += w_xx * at_x + w_xy * at_y + w_xz * v[2]
             h_y += w_xy * at_x + w_yy * at_y + w_yz * v[2]
             h_z += w_xz * at_x + w_yz * at_y + w_zz * v[2]
@@ -59,14 +58,14 @@ def fit_landmarks(observations, poses, landmarks):
 
 
 @kernel
-def mahalanobis_sq(observations, poses, landmarks, result):
+def mahalanobis_sq(observations, views, landmarks, result):
     """D (O,) of each observation: e^T W e."""
     starts, seen_from, positions, information = observations
     for n in range(len(landmarks)):
         for o in range(starts[n], starts[n + 1]):
-            pose = poses[seen_from[o]]
-            _, _, x, y, z = difference(pose, landmarks[n], positions[o])
-            xx, xy, xz, yy, yz = turned(information[o], np.cos(pose[2]), np.sin(pose[2]))
+            view = views[seen_from[o]]
+            _, _, x, y, z = difference(view, landmarks[n], positions[o])
+            xx, xy, xz, yy, yz = turned(information[o], np.cos(view[2]), np.sin(view[2]))
             result[o] = xx * x * x + yy * y * y + information[o, 5] * z * z
             result[o] += 2 * (xy * x * y + xz * x * z + yz * y * z)
 
@@ -108,9 +107,9 @@ def covariance_root(landmark):
 
 
 @kernel
-def add_landmark_jacobians(wanted, observations, poses, landmarks, jacobians):
-    """Add dl/dx = -Lambda^-1 sum W J of the landmarks `wanted` (A,) to `jacobians`
-    (3 A, 3 P).
+def add_landmark_jacobians(wanted, observations, views, columns, landmarks, jacobians):
+    """Add dl/dx = -Lambda^-1 sum W J of the landmarks `wanted` (A,), by poses and centres, to
+    `jacobians` (3 A, 3 (A + P) + 2 a).
     """
     starts, seen_from, _, information = observations
     own = np.empty((3, 3))
@@ -119,9 +118,8 @@ def add_landmark_jacobians(wanted, observations, poses, landmarks, jacobians):
         root = covariance_root(landmarks[n])
         covariance[:] = root @ root.T
         for o in range(starts[n], starts[n + 1]):
-            if seen_from[o] < 0:
-                continue
-            pose, first = poses[seen_from[o]], 3 * seen_from[o]
-            q_x, q_y = landmarks[n, 0] - pose[0], landmarks[n, 1] - pose[1]
-            weighted_jacobian(information[o], pose, q_x, q_y, own)
-            jacobians[3 * a : 3 * a + 3, first : first + 3] -= covariance @ own.T
+            view = views[seen_from[o]]
+            first, last = columns[seen_from[o]], columns[seen_from[o] + 1]
+            q_x, q_y = landmarks[n, 0] - view[0], landmarks[n, 1] - view[1]
+            weighted_jacobian(information[o], view, q_x, q_y, own)
+            jacobians[3 * a : 3 * a + 3, first:last] -= covariance @ own[: last - first].T

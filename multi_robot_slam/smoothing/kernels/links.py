@@ -1,4 +1,4 @@
-"""The compiled sums over what ties two poses, and the gradient by the poses.
+"""The compiled sums over what ties two poses, and the gradient by poses and centres.
 
 `links` are `linearised.Links`.
 """
@@ -58,21 +58,19 @@ def add_link_gradient(links, gradient):
     ends, residuals, jacobians = links
     for i in range(len(ends)):
         for j in range(6):
-            if ends[i, j // 3] >= 0:
-                at = 3 * ends[i, j // 3] + j % 3
-                gradient[at] += np.sum(jacobians[i, :, j] * residuals[i])
+            at = 3 * ends[i, j // 3] + j % 3
+            gradient[at] += np.sum(jacobians[i, :, j] * residuals[i])
 
 
 @kernel
-def add_observation_gradient(observations, poses, landmarks, gradient):
+def add_observation_gradient(observations, views, columns, landmarks, gradient):
     """Add J^T W e of the observations."""
     starts, seen_from, positions, information = observations
     own = np.empty((3, 3))
     for n in range(len(landmarks)):
         for o in range(starts[n], starts[n + 1]):
-            pose, row = poses[seen_from[o]], 3 * seen_from[o]
-            if row >= 0:
-                q_x, q_y, e_x, e_y, e_z = difference(pose, landmarks[n], positions[o])
-                weighted_jacobian(information[o], pose, q_x, q_y, own)
-                for i in range(3):
-                    gradient[row + i] += own[i, 0] * e_x + own[i, 1] * e_y + own[i, 2] * e_z
+            view, row = views[seen_from[o]], columns[seen_from[o]]
+            q_x, q_y, e_x, e_y, e_z = difference(view, landmarks[n], positions[o])
+            weighted_jacobian(information[o], view, q_x, q_y, own)
+            for i in range(columns[seen_from[o] + 1] - row):
+                gradient[row + i] += own[i, 0] * e_x + own[i, 1] * e_y + own[i, 2] * e_z

@@ -34,18 +34,17 @@ def weigh(first, last, paths, blocks, odometry, sightings, observations, planes,
 
 @kernel
 def add_odometry(odometry, paths, block, low, neg2_log_density):
-    """Add the squared residuals of the odometry."""
-    starts, previous, motions, sigmas = odometry
-    for p in range(len(paths)):
-        q, (u_x, u_y, u_yaw), (s_x, s_y, s_yaw) = previous[p], motions[p], 1 / sigmas[p]
-        x, y, yaw = starts[p]
-        cos, sin = np.cos(yaw), np.sin(yaw)
+    """Add the squared residuals of the odometry of the last poses."""
+    previous, motions, sigmas = odometry
+    anchors = len(paths) - len(previous)
+    for i in range(len(previous)):
+        p, q = anchors + i, previous[i]
+        (u_x, u_y, u_yaw), (s_x, s_y, s_yaw) = motions[i], 1 / sigmas[i]
         for m in range(len(neg2_log_density)):
-            if q >= 0:
-                x, y, yaw = paths[q, 0, low + m], paths[q, 1, low + m], paths[q, 2, low + m]
-                cos, sin = np.float64(block[q, COS, m]), np.float64(block[q, SIN, m])
-            d_x, d_y = paths[p, 0, low + m] - x, paths[p, 1, low + m] - y
-            turn = paths[p, 2, low + m] - yaw - u_yaw
+            cos, sin = np.float64(block[q, COS, m]), np.float64(block[q, SIN, m])
+            d_x = paths[p, 0, low + m] - paths[q, 0, low + m]
+            d_y = paths[p, 1, low + m] - paths[q, 1, low + m]
+            turn = paths[p, 2, low + m] - paths[q, 2, low + m] - u_yaw
             turn -= 2 * np.pi * np.rint(turn / (2 * np.pi))
             e_x = (cos * d_x + sin * d_y - u_x) * s_x
             e_y = (cos * d_y - sin * d_x - u_y) * s_y

@@ -1,0 +1,132 @@
+"""What leaves the window: nothing is lost, nothing invented."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import worlds
+from drives import filtered, remembered
+
+from multi_robot_slam.models.frames import BodySightings, Record
+from multi_robot_slam.models.motion import MotionSettings
+from multi_robot_slam.models.symmetric import pack, unpack
+from multi_robot_slam.smoothing import absorption, marginals, prior, problem
+from multi_robot_slam.smoothing.prior import Prior
+from multi_robot_slam.smoothing.problem import problem_of
+from multi_robot_slam.smoothing.solve import smooth
+
+ROBOTS, LANDMARKS = 2, 9
+START = np.array([[0.0, 0.0, 0.0], [0.0, 4.0, 0.0]])
+STRAIGHT = MotionSettings(
+    forward_per_sqrt_m=0.05, left_per_sqrt_m=0.03, yaw_per_sqrt_m=0.0, yaw_per_sqrt_rad=0.0
+)
+
+
+@pytest.fixture
+def linear(monkeypatch):
+    """Headings are known: nothing is left that is not linear."""
+    for module in (prior, problem):
+        monkeypatch.setattr(module, "SMALLEST_SIGMA", 1e-6)
+
+
+def covariances_of(rng, count, dimensions):
+    """(count, D, D) of an observation, without a tilt between plane and height."""
+    roots = rng.normal(0, 0.05, (count, dimensions, dimensions)) + 0.05 * np.eye(dimensions)
+    roots[:, 2:, :2] = roots[:, :2, 2:] = 0
+    return roots @ roots.transpose(0, 2, 1) + 1e-4 * np.eye(dimensions)
+
+
+def team(seed, steps):
+    """Records of robots that do not turn, and which landmarks each saw: few at a time.
+
+    The first landmarks are seen at the beginning and at the end, and robots see each other.
+    """
+    rng = np.random.default_rng(seed)
+    places = rng.uniform([0, -2, 0], [8, 6, 2], (LANDMARKS, 3))
+    poses, records, identities = START.copy(), [], []
+    for step in range(steps):
+        moves = np.tile([0.4, 0.0], (ROBOTS, 1)) if step else np.zeros((ROBOTS, 2))
+        poses[:, :2] += moves + rng.normal(0, 0.02, (ROBOTS, 2)) * (step > 0)
+        for robot in range(ROBOTS):
+            inside = step * (LANDMARKS - 3) // steps + rng.choice(4, 3, replace=False)
+            seen = np.sort(inside if step < steps - 2 else rng.choice(LANDMARKS, 3, replace=False))
+            R = covariances_of(rng, 3, 3)
+            noise = (np.linalg.cholesky(R) @ rng.standard_normal((3, 3, 1)))[:, :, 0]
+            record = Record(
+                robot,
+                step,
+                step,
+                np.append(moves[robot], 0.0),
+                places[seen] - np.append(poses[robot, :2], 0.0) + noise,
+                pack(R),
+                *(np.empty((0, 0)) for _ in range(4)),
+            )
+            if step % 3 == 1:
+                apart = poses[1 - robot, :2] - poses[robot, :2] + rng.normal(0, 0.05, 2)
+                tie = BodySightings(
+                    np.array([1 - robot]), apart[None], np.array([[25e-4, 0, 25e-4]])
+                )
+                record = replace(record, sightings=tie)
+            records.append(record)
+            identities.append(seen)
+    return records, identities
+
+
+def smoothed(records, identities, known, also=(), noise=STRAIGHT):
+    posed = problem_of(records, identities, known, noise, also=also)
+    begin = np.array([known.poses[record.robot] for record in records])
+    return posed, smooth(posed, begin, smallest_step=1e-5)
+
+
+def joint(posed, found):
+    """Mean and covariance of x, y of each robot's last pose, and of all landmarks of a problem."""
+    last = [np.flatnonzero(posed.robots == robot)[-1] for robot in np.unique(posed.robots)]
+    rows = (3 * np.array(last)[:, None] + np.arange(2)).ravel()
+    unit = np.zeros((found.factor.size, len(rows)))
+    unit[rows, np.arange(len(rows))] = 1
+    deviations = [found.factor.solve_lower(unit).T]
+    deviations.append(marginals.landmark_deviations(posed, found).reshape(3 * len(posed.ids), -1))
+    deviations = np.concatenate(deviations)
+    covariance = deviations @ deviations.T
+    for n, own in enumerate(unpack(found.landmarks[:, 3:])):
+        at = len(rows) + 3 * n
+        covariance[at : at + 3, at : at + 3] += own
+    return np.append(found.poses[last, :2], found.landmarks[:, :3]), covariance
+
+
+def absorbed(records, identities, schedule, rename=lambda ids: ids, noise=STRAIGHT):
+    """The prior after a schedule of (records known, records that leave), and how many have left."""
+    known, first = Prior.exact(START), 0
+    for end, count in schedule:
+        posed, found = smoothed(records[first:end], identities[first:end], known, noise=noise)
+        known = absorption.absorb(posed, found, count, known)
+        first += count
+    return known, first
+
+
+SCHEDULES = {
+    "nothing": [(10, 0), (20, 0)],
+    "at once": [(40, 30)],
+    "one step at a time": [(2 * t + 6, 2) for t in range(16)],
+    "in parts": [(10, 2), (20, 10), (24, 4), (36, 14)],
+    "all but the last": [(38, 38)],
+    "everything": [(40, 40)],
+}
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("name", SCHEDULES)
+def test_absorbing_changes_nothing_in_a_linear_world(linear, name, seed):
+    """Mean and covariance of poses and landmarks are those of the whole past."""
+    records, identities = team(seed, 20)
+    whole = smoothed(records, identities, Prior.exact(START))
+    known, first = absorbed(records, identities, SCHEDULES[name])
+    if first == len(records):
+        records, identities = [*records, *team(5, 21)[0][-2:]], [*identities, *team(5, 21)[1][-2:]]
+        whole = smoothed(records, identities, Prior.exact(START))
+    rest = smoothed(records[first:], identities[first:], known, also=np.arange(LANDMARKS))
+    (mean, covariance), (expected, expected_covariance) = joint(*rest), joint(*whole)
+    sigma = np.sqrt(np.diag(expected_covariance))
+    np.testing.assert_allclose((mean - expected) / sigma, 0, atol=1e-5)
+    scale = np.outer(sigma, sigma)
+    np.testing.assert_allclose(covariance / scale, expected_covariance / scale, atol=1e-6)
