@@ -11,15 +11,6 @@ from multi_robot_slam.smoothing.odometry_scale import Scales
 from multi_robot_slam.smoothing.prior import Prior
 
 
-class Fixed(NamedTuple):
-    """The oldest part of a past, which rejuvenation no longer moves."""
-
-    records: int
-    """How many records of the history it has."""
-    prior: Prior
-    """What it says of the poses at its end and of landmarks."""
-
-
 @dataclass
 class State:
     """What the next step needs; `rbpf.step` changes it in place."""
@@ -44,8 +35,10 @@ class State:
     """The step of the last rejuvenation."""
 
     def __post_init__(self) -> None:
-        self.fixed = (Fixed(0, Prior.exact(self.start_poses)),)
-        self.fixed_of = np.zeros(len(self.log_weights), np.int32)
+        self.begin_origins()
+
+    def begin_origins(self) -> None:
+        """Count descendants from now on."""
         self.origins = np.arange(len(self.log_weights), dtype=np.int32)
         self.origin_step = self.steps
 

@@ -116,12 +116,14 @@ def resting(prior: Prior, problem: Problem, smoothed: Smoothed) -> tuple[np.ndar
     Mean [m] and covariance [m^2], laid out like the planes of the filter: where the optimum of the
     problem leaves them.
     """
+    centres = _resting(prior, problem.prior)[1]
+    if not len(centres):
+        return np.empty(0, np.int64), np.empty((0, 9))
     rows = problem.prior_columns
     unit = np.zeros((smoothed.factor.size, len(rows)))
     unit[rows, np.arange(len(rows))] = 1
     old_deviations = smoothed.factor.solve_lower(unit).T
     old_step = prior_residuals(problem, smoothed.views)
-    centres = _resting(prior, problem.prior)[1]
     rows = prior.rows(np.empty(0, np.int64), centres)
     gain = _gain(prior, problem.prior, rows)
     means = prior.centres[centres] + np.pad((gain @ old_step).reshape(-1, 2), ((0, 0), (0, 1)))

@@ -137,7 +137,7 @@ def problem_of(
 
     """
     robots = np.array([record.robot for record in records], np.int64)
-    anchors = np.unique(robots)
+    anchors = np.arange(len(prior.poses))
     motions = np.array([record.motion for record in records], float).reshape(-1, 3)
     seconds = np.array([record.seconds for record in records])
     sigmas = standard_deviations(motions.T, seconds, noise).T
