@@ -1,5 +1,6 @@
 """PointCloud2: observations, which landmark each is of, and the landmark map."""
 
+import struct
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -14,6 +15,7 @@ from msg_defs.types import (
     ObservationTruth,
     Sightings,
 )
+from msg_defs.wire.cdr import LITTLE_ENDIAN, MOST_TRAILING, START, Writer
 from msg_defs.wire.messages import (
     PointCloud2,
     PointField,
@@ -22,7 +24,7 @@ from msg_defs.wire.messages import (
     header_of,
     require_finite,
     require_frame,
-    stamp_of,
+    stamp_in,
 )
 
 
@@ -192,7 +194,7 @@ def _float_descriptors(values: np.ndarray) -> np.ndarray:
 def _encode_cloud(
     table: tuple[_Column, ...], columns: dict[str, np.ndarray], stamp_ns: int, frame_id: str
 ) -> bytes:
-    dtype, fields = _LAYOUTS[table]
+    dtype, fields, _ = _LAYOUTS[table]
     count = len(columns[table[0].name])
     points = np.empty(count, dtype)
     for column in table:
@@ -212,12 +214,16 @@ def _encode_cloud(
     )
 
 
-def _layout(table: tuple[_Column, ...]) -> tuple[np.dtype, list]:
-    """The fields of `table`, one after the other without gaps."""
+def _layout(table: tuple[_Column, ...]) -> tuple[np.dtype, list, bytes]:
+    """The fields of `table`, one after the other without gaps; and how a message states them."""
     dtype = np.dtype([(c.name, c.datatypes[0].dtype, (c.size,) * (c.size > 1)) for c in table])
     places: Mapping[str, Any] = dtype.fields or {}
     fields = [PointField(c.name, places[c.name][1], c.datatypes[0].code, c.size) for c in table]
-    return dtype, fields
+    stated = Writer().numbers("I", len(fields))
+    for field in fields:
+        stated.text(field.name).numbers("I", field.offset).numbers("B", field.datatype)
+        stated.numbers("I", field.count)
+    return dtype, fields, stated.done()[START:]
 
 
 _TABLES: tuple[tuple[_Column, ...], ...] = (_OBSERVATION, _SIGHTINGS, _TRUTH, _MAP)
@@ -232,11 +238,11 @@ def _decode_cloud(
     Fields may come in any order and with gaps, rows may be padded, a cloud may have several rows
     and either byte order.
     """
-    cloud = decode(PointCloud2, data, what)
+    cloud = _plain_cloud(data, table) or _general_cloud(data, what)
     if frame_id:
         setting = "" if frame_id == MAP_FRAME else "camera_frame"
-        require_frame(cloud.header.frame_id, (frame_id,), what, setting=setting)
-    stamp_ns = stamp_of(cloud.header, what)
+        require_frame(cloud.frame_id, (frame_id,), what, setting=setting)
+    stamp_ns = stamp_in(cloud.seconds, cloud.nanoseconds, what)
     fields = {field.name: field for field in cloud.fields}
     if len(fields) < len(cloud.fields):
         raise InputError(f"{what}: fields {_names(cloud)}; name each once")
@@ -244,7 +250,88 @@ def _decode_cloud(
     return stamp_ns, {c.name: _column(points, c, fields.get(c.name), cloud, what) for c in table}
 
 
-def _point_bytes(cloud: Any, what: str) -> np.ndarray:
+class _Cloud(NamedTuple):
+    """What is read of a PointCloud2."""
+
+    seconds: int
+    nanoseconds: int
+    frame_id: str
+    fields: list
+    height: int
+    width: int
+    is_bigendian: bool
+    point_step: int
+    row_step: int
+    data: np.ndarray
+
+
+def _general_cloud(data: bytes, what: str) -> _Cloud:
+    cloud = decode(PointCloud2, data, what)
+    return _Cloud(
+        cloud.header.stamp.sec,
+        cloud.header.stamp.nanosec,
+        cloud.header.frame_id,
+        cloud.fields,
+        cloud.height,
+        cloud.width,
+        cloud.is_bigendian,
+        cloud.point_step,
+        cloud.row_step,
+        cloud.data,
+    )
+
+
+def _plain_cloud(data: bytes, table: tuple[_Column, ...]) -> _Cloud | None:
+    """The cloud, where its fields are stated as `_encode_cloud` does; else None."""
+    if len(data) < _HEADER.size or data[:2] != LITTLE_ENDIAN:
+        return None
+    seconds, nanoseconds, length = _HEADER.unpack_from(data)
+    _, fields, stated = _LAYOUTS[table]
+    text_end = _HEADER.size + length
+    size_at = text_end + -length % 4
+    fields_at = size_at + _SIZE.size
+    points_at = fields_at + len(stated)
+    if (
+        data[points_at - len(stated) : points_at] != stated
+        or data[text_end - 1 : text_end] != b"\0"
+    ):
+        return None
+    if len(data) < points_at + _POINTS.size:
+        return None
+    is_bigendian, point_step, row_step, size = _POINTS.unpack_from(data, points_at)
+    start = points_at + _POINTS.size
+    trailing = len(data) - (start + size + 1)
+    if not 0 <= trailing <= MOST_TRAILING or is_bigendian > 1:
+        return None
+    try:
+        frame_id = data[_HEADER.size : text_end - 1].decode()
+    except UnicodeDecodeError:
+        return None
+    points = np.frombuffer(data, np.uint8, size, start)
+    height, width = _SIZE.unpack_from(data, size_at)
+    return _Cloud(
+        seconds,
+        nanoseconds,
+        frame_id,
+        fields,
+        height,
+        width,
+        bool(is_bigendian),
+        point_step,
+        row_step,
+        points,
+    )
+
+
+_HEADER = struct.Struct("<4xiII")
+"""Stamp, and the length of frame_id, which follows."""
+_SIZE = struct.Struct("<II")
+"""Height and width; the fields follow."""
+_POINTS = struct.Struct("<B3xIII")
+"""Byte order, sizes of a point, a row, and the data, which follow, and then whether it is dense."""
+
+
+def _point_bytes(cloud: _Cloud, what: str) -> np.ndarray:
     """(n, point_step) uint8."""
     used = cloud.width * cloud.point_step
     sizes_agree = cloud.row_step >= used and cloud.data.size == cloud.height * cloud.row_step
@@ -258,7 +345,9 @@ def _point_bytes(cloud: Any, what: str) -> np.ndarray:
     return rows.reshape(cloud.height * cloud.width, cloud.point_step)
 
 
-def _column(points: np.ndarray, column: _Column, field: Any, cloud: Any, what: str) -> np.ndarray:
+def _column(
+    points: np.ndarray, column: _Column, field: Any, cloud: _Cloud, what: str
+) -> np.ndarray:
     if field is None:
         raise InputError(
             f"{what}: no field '{column.name}' among {_names(cloud)}; publish it as {column}"
@@ -282,7 +371,7 @@ def _column(points: np.ndarray, column: _Column, field: Any, cloud: Any, what: s
     return values if column.size > 1 else values[:, 0]
 
 
-def _names(cloud: Any) -> str:
+def _names(cloud: _Cloud) -> str:
     return repr([field.name for field in cloud.fields])
 
 

@@ -92,7 +92,7 @@ def header_of(stamp_ns: int, frame_id: str) -> Any:
 
 def stamp_of(header: Any, what: str) -> int:
     """Stamp of a header [ns]."""
-    return _stamp(header.stamp.sec, header.stamp.nanosec, what)
+    return stamp_in(header.stamp.sec, header.stamp.nanosec, what)
 
 
 def peek_stamp(data: bytes, what: str) -> int:
@@ -103,10 +103,11 @@ def peek_stamp(data: bytes, what: str) -> int:
         )
     order = "<" if data[1] else ">"
     seconds, nanoseconds = struct.unpack_from(order + "iI", data, _CDR_HEADER)
-    return _stamp(seconds, nanoseconds, what)
+    return stamp_in(seconds, nanoseconds, what)
 
 
-def _stamp(seconds: int, nanoseconds: int, what: str) -> int:
+def stamp_in(seconds: int, nanoseconds: int, what: str) -> int:
+    """Stamp of these two [ns]."""
     if nanoseconds >= 10**9:
         raise InputError(f"{what}: nanosec = {nanoseconds} of the stamp; it must be below 10^9")
     return seconds * 10**9 + nanoseconds

@@ -3,25 +3,17 @@
 import itertools
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
 from msg_defs.errors import InputError
 from msg_defs.topics import MAP_FRAME
 from msg_defs.types import LandmarkMap, Trajectory, Walls
+from msg_defs.wire.cdr import Writer
 from msg_defs.wire.messages import (
-    ColorRGBA,
-    CompressedImage,
-    Duration,
     Marker,
-    MarkerArray,
-    MeshFile,
-    Point,
-    Vector3,
     decode,
-    encode,
-    header_of,
     require_finite,
     require_frame,
     stamp_of,
@@ -51,18 +43,25 @@ _MATRIX = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 """Where the elements of a 3 x 3 covariance are among its six."""
 
 
+class _Picture(NamedTuple):
+    """What a marker shows."""
+
+    name: str
+    kind: int
+    """Such as `Marker.POINTS`."""
+    points: np.ndarray
+    """(n, 3) float64 in `map` [m]."""
+    scale: tuple[float, float, float]
+    colour: tuple[float, float, float]
+    """Red, green, blue."""
+    action: int = Marker.ADD
+
+
 def encode_walls(walls: Walls, stamp_ns: int) -> bytes:
     """Marker in `map`: two triangles a wall, one metre high, with the height as their scale."""
-    return encode(
-        _marker(
-            stamp_ns,
-            "walls",
-            Marker.TRIANGLE_LIST,
-            _wall_points(walls.segments),
-            (1.0, 1.0, walls.height_m),
-            _WALL_COLOUR,
-        )
-    )
+    points, scale = _wall_points(walls.segments), (1.0, 1.0, walls.height_m)
+    picture = _Picture("walls", Marker.TRIANGLE_LIST, points, scale, _WALL_COLOUR)
+    return _draw(Writer(), picture, stamp_ns).done()
 
 
 def decode_walls(data: bytes) -> Walls:
@@ -98,22 +97,24 @@ def encode_markers(landmarks: LandmarkMap, paths: Mapping[str, Trajectory], stam
     centres = landmarks.positions.astype(np.float64)
     axes = _principal_axes(landmarks.covariances)
     ends = centres[:, None, None] + np.stack([axes, -axes], axis=2)
+    axis_points, thin = ends.reshape(-1, 3), _line_scale(0.4)
     pictures = [
-        ("landmarks", Marker.POINTS, centres, (_POINT_WIDTH_M,) * 3, _LANDMARK_COLOUR),
-        ("3 sigma", Marker.LINE_LIST, ends.reshape(-1, 3), _line_scale(0.4), _LANDMARK_COLOUR),
+        _Picture("landmarks", Marker.POINTS, centres, (_POINT_WIDTH_M,) * 3, _LANDMARK_COLOUR),
+        _Picture("3 sigma", Marker.LINE_LIST, axis_points, thin, _LANDMARK_COLOUR),
     ]
     for (robot, path), colour in zip(paths.items(), itertools.cycle(_COLOURS), strict=False):
-        points = path.poses * (1, 1, 0)
-        pictures.append((f"path of {robot}", Marker.LINE_STRIP, points, _line_scale(1.0), colour))
-    clear = _marker(stamp_ns, "", Marker.POINTS, np.zeros((0, 3)), (0.0,) * 3, (0.0,) * 3)
-    clear.action = Marker.DELETEALL
-    drawn = [_marker(stamp_ns, *picture) for picture in pictures]
-    return encode(MarkerArray([clear, *(marker for marker in drawn if _is_visible(marker))]))
+        name, points = f"path of {robot}", path.poses * (1, 1, 0)
+        pictures.append(_Picture(name, Marker.LINE_STRIP, points, _line_scale(1.0), colour))
+    shown = [_CLEAR, *(picture for picture in pictures if _is_visible(picture))]
+    message = Writer().numbers("I", len(shown))
+    for picture in shown:
+        _draw(message, picture, stamp_ns)
+    return message.done()
 
 
-def _is_visible(marker: Any) -> bool:
+def _is_visible(picture: _Picture) -> bool:
     """RViz complains about lists without points, and about a line strip of one."""
-    return len(marker.points) > (marker.type == Marker.LINE_STRIP)
+    return len(picture.points) > (picture.kind == Marker.LINE_STRIP)
 
 
 def _principal_axes(covariances: np.ndarray) -> np.ndarray:
@@ -135,33 +136,22 @@ def _wall_points(segments: np.ndarray) -> np.ndarray:
     return np.concatenate([places, edges], axis=2).reshape(-1, 3)
 
 
-def _marker(
-    stamp_ns: int,
-    namespace: str,
-    kind: int,
-    points: np.ndarray,
-    scale: tuple[float, float, float],
-    colour: tuple[float, float, float],
-) -> Any:
-    header = header_of(stamp_ns, MAP_FRAME)
-    return Marker(
-        header=header,
-        ns=namespace,
-        id=0,
-        type=kind,
-        action=Marker.ADD,
-        pose=spatial_pose((0, 0, 0)),
-        scale=Vector3(*scale),
-        color=ColorRGBA(*colour, 1.0),
-        lifetime=Duration(0, 0),
-        frame_locked=False,
-        points=[Point(*point) for point in points.tolist()],
-        colors=[],
-        texture_resource="",
-        texture=CompressedImage(header, "", np.zeros(0, np.uint8)),
-        uv_coordinates=[],
-        text="",
-        mesh_resource="",
-        mesh_file=MeshFile("", np.zeros(0, np.uint8)),
-        mesh_use_embedded_materials=False,
-    )
+_CLEAR = _Picture(
+    "", Marker.POINTS, np.zeros((0, 3)), (0.0,) * 3, (0.0,) * 3, action=Marker.DELETEALL
+)
+
+
+def _draw(message: Writer, picture: _Picture, stamp_ns: int) -> Writer:
+    """Append the Marker of a picture in `map`, which has no texture, text or mesh."""
+    message.header(stamp_ns, MAP_FRAME).text(picture.name)
+    message.numbers("3i", 0, picture.kind, picture.action)
+    message.numbers("7d", *spatial_pose((0, 0, 0))).numbers("3d", *picture.scale)
+    message.numbers("4f", *picture.colour, 1.0)
+    lifetime, is_locked, colours, has_materials = (0, 0), 0, 0, 0
+    message.numbers("iI", *lifetime).numbers("B", is_locked).rows(picture.points)
+    message.numbers("I", colours)
+    texture, data, corners = "", 0, 0
+    message.text(texture).header(stamp_ns, MAP_FRAME).text("").numbers("2I", data, corners)
+    text, mesh = "", ""
+    message.text(text).text(mesh).text("").numbers("I", data)
+    return message.numbers("B", has_materials)

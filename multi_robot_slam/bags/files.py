@@ -5,7 +5,7 @@ Each gives its records by time, equal times in the order written, and a summary 
 
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
-from functools import cached_property
+from functools import cached_property, lru_cache
 from operator import attrgetter
 from pathlib import Path
 from typing import IO, NamedTuple
@@ -20,21 +20,11 @@ from rosbags.rosbag2.metadata import parse_qos
 
 from msg_defs.errors import InputError
 from msg_defs.topics import LATCHED, SENSOR, STREAM, Topic
+from multi_robot_slam.bags import chunks
+from multi_robot_slam.bags.chunks import Record
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 SQLITE_MAGIC = b"SQLite format 3\0"
-
-
-class Record(NamedTuple):
-    """One message of a bag."""
-
-    topic: str
-    """Absolute, as recorded: `/robot_1/odom`."""
-    type: str
-    stamp_ns: int
-    """When it was recorded."""
-    data: bytes
-    """CDR."""
 
 
 class Summary(NamedTuple):
@@ -72,8 +62,7 @@ class McapFile:
         """Those of the topics `names`, by default all."""
         with self.path.open("rb") as stream, _damage_reported(self.path):
             if self.is_complete:
-                for found in SeekingReader(stream, validate_crcs=True).iter_messages(names):
-                    yield _record(*found)
+                yield from chunks.records(stream, self._index, names)
             else:
                 salvaged = _Salvage(stream, self.size).records()
                 wanted = (r for r in salvaged if names is None or r.topic in names)
@@ -82,11 +71,17 @@ class McapFile:
     @cached_property
     def summary(self) -> Summary:
         """From the file's own summary where it has one, else from all its messages."""
-        with self.path.open("rb") as stream, _damage_reported(self.path):
-            found = SeekingReader(stream).get_summary() if self.is_complete else None
+        with _damage_reported(self.path):
+            found = self._index if self.is_complete else None
         if found is None or found.statistics is None:
             return self._scan[0]
         return _declared(found, found.statistics)
+
+    @property
+    def _index(self) -> McapSummary | None:
+        """The file's own summary, if it has one."""
+        state = self.path.stat()
+        return _summary_section(self.path.resolve(), state.st_size, state.st_mtime_ns)
 
     @property
     def loss(self) -> str:
@@ -114,6 +109,13 @@ class McapFile:
             }
         span_ns = (min(stamps), max(stamps)) if stamps else None
         return Summary(frozenset(topics), len(stamps), span_ns), salvage.used
+
+
+@lru_cache(maxsize=4)
+def _summary_section(path: Path, size: int, changed_ns: int) -> McapSummary | None:
+    """What a file as it was changed last says of itself: read once, however often it is asked."""
+    with path.open("rb") as stream:
+        return SeekingReader(stream).get_summary()
 
 
 class _Salvage:

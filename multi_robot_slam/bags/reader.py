@@ -9,11 +9,11 @@ from pathlib import Path
 from msg_defs.errors import InputError
 from msg_defs.topics import Topic
 from multi_robot_slam.bags import metadata
+from multi_robot_slam.bags.chunks import Record
 from multi_robot_slam.bags.files import (
     MCAP_MAGIC,
     SQLITE_MAGIC,
     McapFile,
-    Record,
     RosbagsFile,
     Summary,
     merged,
@@ -43,7 +43,9 @@ class BagReader:
 
     def records(self, names: Collection[str] | None = None) -> Iterator[Record]:
         """Those of the topics `names`, absolute; by default all."""
-        files = (file.records(names) for file in self._files)
+        files = [file.records(names) for file in self._files]
+        if len(files) == 1:
+            return files[0]
         return heapq.merge(*files, key=attrgetter("stamp_ns"))
 
     def only(self, wanted: Collection[Topic], namespace: str = "") -> Iterator[tuple[Topic, bytes]]:
