@@ -3,7 +3,8 @@
 Each gives its records by time, equal times in the order written, and a summary of them.
 """
 
-from collections.abc import Collection, Iterator
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cached_property, lru_cache
 from operator import attrgetter
@@ -32,9 +33,15 @@ class Summary(NamedTuple):
 
     topics: frozenset[Topic]
     """Names are absolute."""
-    message_count: int
+    counts: Mapping[str, int]
+    """Messages of each topic, by its name; a topic without any may be missing."""
     span_ns: tuple[int, int] | None
     """When the first and the last message were recorded; None without messages."""
+
+    @property
+    def message_count(self) -> int:
+        """Messages of all topics."""
+        return sum(self.counts.values())
 
 
 def merged(summaries: list[Summary]) -> Summary:
@@ -42,7 +49,7 @@ def merged(summaries: list[Summary]) -> Summary:
     spans = [summary.span_ns for summary in summaries if summary.span_ns]
     return Summary(
         frozenset().union(*(summary.topics for summary in summaries)),
-        sum(summary.message_count for summary in summaries),
+        sum((Counter(summary.counts) for summary in summaries), Counter()),
         (min(first for first, _ in spans), max(last for _, last in spans)) if spans else None,
     )
 
@@ -88,11 +95,11 @@ class McapFile:
         """What is known about the part that is missing; empty when the file is complete."""
         if self.is_complete:
             return ""
-        (_, count, span_ns), used = self._scan
-        first, last = span_ns or (0, 0)
+        summary, used = self._scan
+        first, last = summary.span_ns or (0, 0)
         return (
             f"{self.path} breaks off: its recorder was killed or failed, or it was cut; "
-            f"{count} messages over {(last - first) / 1e9:.1f} s are read, "
+            f"{summary.message_count} messages over {(last - first) / 1e9:.1f} s are read, "
             f"{self.size - used} bytes after them hold no whole one"
         )
 
@@ -100,15 +107,18 @@ class McapFile:
     def _scan(self) -> tuple[Summary, int]:
         """What the messages tell, and the size up to the end of the last whole record [bytes]."""
         stamps: list[int] = []
+        counts: Counter[str] = Counter()
         with self.path.open("rb") as stream, _damage_reported(self.path):
             salvage = _Salvage(stream, self.size)
-            stamps += (record.stamp_ns for record in salvage.records())
+            for record in salvage.records():
+                stamps.append(record.stamp_ns)
+                counts[record.topic] += 1
             topics = {
                 _topic(channel, salvage.schemas.get(channel.schema_id))
                 for channel in salvage.channels.values()
             }
         span_ns = (min(stamps), max(stamps)) if stamps else None
-        return Summary(frozenset(topics), len(stamps), span_ns), salvage.used
+        return Summary(frozenset(topics), counts, span_ns), salvage.used
 
 
 @lru_cache(maxsize=4)
@@ -175,9 +185,9 @@ class RosbagsFile:
                 for c in reader.connections
                 if isinstance(c.ext, ConnectionExtRosbag2)
             }
-            count = reader.message_count
-            span_ns = (reader.start_time, reader.end_time - 1) if count else None
-            return Summary(frozenset(topics), count, span_ns)
+            counts = {name: about.msgcount for name, about in reader.topics.items()}
+            span_ns = (reader.start_time, reader.end_time - 1) if reader.message_count else None
+            return Summary(frozenset(topics), counts, span_ns)
 
 
 @contextmanager
@@ -194,9 +204,12 @@ def _damage_reported(path: Path) -> Iterator[None]:
 
 def _declared(summary: McapSummary, statistics: Statistics) -> Summary:
     span_ns = statistics.message_start_time, statistics.message_end_time
+    counts: Counter[str] = Counter()
+    for number, count in statistics.channel_message_counts.items():
+        counts[summary.channels[number].topic] += count
     return Summary(
         frozenset(_topic(c, summary.schemas.get(c.schema_id)) for c in summary.channels.values()),
-        statistics.message_count,
+        counts,
         span_ns if statistics.message_count else None,
     )
 

@@ -6,16 +6,18 @@ from multi_robot_slam import runs
 from multi_robot_slam.cli.terminal import console, messages, warn
 
 
-def finish(result: runs.Run, folder: Path) -> dict:
+def finish(result: runs.Run, folder: Path, with_pictures: bool = True) -> dict:
     """Write and print what there is to say of a run; its figures."""
-    from multi_robot_slam.report import plots
     from multi_robot_slam.runs import evaluation, evaluation_table
 
     for warning in result.warnings:
         warn(warning)
     figures = evaluation.evaluate(result)
     runs.write(result, figures, folder)
-    plots.save(result, folder)
+    if with_pictures:
+        from multi_robot_slam.report import plots
+
+        plots.save(result, folder)
     console.print(evaluation_table.table(figures, console.width))
     console.print(f"Everything is in {folder}", markup=False)
     return figures

@@ -9,7 +9,7 @@ import typer
 from msg_defs import cli
 from multi_robot_slam.cli import overrides
 from multi_robot_slam.cli.options import Namespace, OtherScenario, Out, Robots, ScenarioName, Seed
-from multi_robot_slam.cli.terminal import counter, warn
+from multi_robot_slam.cli.terminal import countdown, warn
 
 
 def demo(
@@ -60,8 +60,18 @@ def run(
     refine: Annotated[
         bool, typer.Option("--refine", help="Then smooth over the best particle's associations.")
     ] = False,
+    evaluate: Annotated[
+        bool,
+        typer.Option(
+            "--evaluate", help="Then do all that `evaluate` does: the yardstick, pictures."
+        ),
+    ] = False,
 ) -> None:
-    """Estimate paths and map from a recorded bag, as fast as the filter goes; no ROS needed."""
+    """Estimate paths and map from a recorded bag, as fast as the filter goes; no ROS needed.
+
+    Prints errors where the bag holds the truth. `evaluate` adds the yardstick, the best answer
+    there is, and pictures; `report` draws the page to explore.
+    """
     from multi_robot_slam import runs
     from multi_robot_slam.cli import configuration, folders, results
     from multi_robot_slam.pipeline import offline
@@ -72,16 +82,17 @@ def run(
     recording = configuration.Recording(bag, namespace)
     config = configuration.of_run(recording, scenario, overrides.parse(words), warn)
     with folders.new_folder(out) as folder:
-        with counter("steps") as progress:
+        with countdown() as progress:
             task = progress.add_task(f"{bag}", total=None)
             result = offline.estimate(
                 bag,
                 config,
                 warn=warn,
-                on_step=lambda step: progress.update(task, completed=step.step),
+                on_progress=lambda done, total: progress.update(task, completed=done, total=total),
                 refine=refine,
+                yardstick=evaluate,
                 namespace=namespace,
                 scenario=scenario,
             )
         runs.write_estimates(result, folder)
-        results.finish(result, folder)
+        results.finish(result, folder, with_pictures=evaluate)

@@ -15,6 +15,8 @@ from multi_robot_slam.pipeline import decoding, refinement
 from multi_robot_slam.pipeline.pipeline import Pipeline
 
 OnStep = Callable[[StepRecord], None]
+OnProgress = Callable[[int, int], None]
+"""Told how many messages have been handled, and how many there are."""
 
 
 def _raise(error: InputError) -> None:
@@ -83,8 +85,9 @@ def estimate(
     bag: Path,
     config: Config,
     warn: Callable[[str], None],
-    on_step: OnStep = lambda step: None,
+    on_progress: OnProgress = lambda done, total: None,
     refine: bool = False,
+    yardstick: bool = False,
     namespace: str | None = None,
     scenario: str | None = None,
 ) -> runs.Run:
@@ -93,19 +96,42 @@ def estimate(
     Parameters
     ----------
     warn : called with a line for each message that is dropped.
-    on_step : called with each step as it is done.
+    on_progress : called after each step.
     refine : whether to smooth over the best particle's associations at the end.
+    yardstick : whether also over the true ones, if they are known.
     namespace : in which the team was recorded (`events`).
     scenario : name or file of the scenario that `config` comes from, for `result.json`.
     """
     pipeline = Pipeline(config, warn)
     where = BagReader(bag).find_namespace(_inputs(config), namespace)
     predictions = runs.Predictions()
-    sent = events(bag, config, pipeline.refuse, where)
-    steps = run_through(pipeline, sent, on_step, predictions.add)
+    sent = Counted(events(bag, config, pipeline.refuse, where))
+    total = count(bag, config, where)
+    steps = run_through(
+        pipeline, sent, lambda step: on_progress(sent.count, total), predictions.add
+    )
     run = assemble(pipeline, runs.recorded(bag, config.robots, where), steps, predictions)
     run = replace(run, provenance=runs.here(scenario))
-    return refinement.complete(run, pipeline, with_refined=refine)
+    return refinement.complete(run, pipeline, with_refined=refine, with_yardstick=yardstick)
+
+
+class Counted:
+    """Events, and how many of them have been taken."""
+
+    def __init__(self, sent: Iterable[Event]) -> None:
+        self._sent = sent
+        self.count = 0
+
+    def __iter__(self) -> Iterator[Event]:
+        for event in self._sent:
+            self.count += 1
+            yield event
+
+
+def count(bag: Path, config: Config, namespace: str) -> int:
+    """How many messages of the robots of `config` the bag holds in a namespace."""
+    counts = BagReader(bag).summary.counts
+    return sum(counts.get(absolute(t.name, namespace), 0) for t in decoding.inputs(config))
 
 
 def run_through(
@@ -151,12 +177,14 @@ def assemble(
 def load(folder: Path, namespace: str | None = None) -> runs.Run:
     """The run in `folder` (`runs.load`), with the yardstick where the associations are known.
 
-    An offline run has it with it. A live one's needs the frames and not the estimates: one particle
+    A run that does not have it with it needs the frames for it and not the estimates: one particle
     puts them in order.
     """
     run = runs.load(folder, namespace)
-    if runs.is_offline(folder) or not run.observation_truth or run.bag is None:
+    has_it = any(len(robot.yardstick.stamps_ns) for robot in run.robots.values())
+    frames = sum(len(step.frames) for step in run.steps)
+    if has_it or not run.observation_truth or run.bag is None or frames > refinement.MAX_FRAMES:
         return run
     pipeline = Pipeline(replace(run.config, filter=replace(run.config.filter, particles=1)))
     run_through(pipeline, events(run.bag, run.config, pipeline.refuse, run.namespace))
-    return refinement.with_yardstick(run, pipeline.lineage())
+    return refinement.measured(run, pipeline.lineage())

@@ -43,14 +43,18 @@ class Refined:
     """With marginal covariances; a landmark the filter had split keeps the oldest of its ids."""
 
 
-def complete(run: Run, pipeline: Pipeline, with_refined: bool = False) -> Run:
+def complete(
+    run: Run, pipeline: Pipeline, with_refined: bool = False, with_yardstick: bool = False
+) -> Run:
     """The run with what only the filter's history tells.
 
-    The mean of all particles' paths, the yardstick, and, if wanted, the refined paths and map. What
-    smoothing cannot give is missing, with a warning.
+    The mean of all particles' paths and, if wanted, the refined paths and map, and the yardstick.
+    What smoothing cannot give is missing, with a warning.
     """
-    lineage = pipeline.lineage()
-    run = with_yardstick(run.with_paths(mean=pipeline.mean_trajectories()), lineage)
+    run = run.with_paths(mean=pipeline.mean_trajectories())
+    lineage = pipeline.lineage() if with_refined or with_yardstick else []
+    if with_yardstick:
+        run = measured(run, lineage)
     if not with_refined:
         return run
     if len(lineage) > MAX_FRAMES:
@@ -63,7 +67,7 @@ def complete(run: Run, pipeline: Pipeline, with_refined: bool = False) -> Run:
     return replace(run, refined_landmarks=refined.landmarks)
 
 
-def with_yardstick(run: Run, lineage: Lineage) -> Run:
+def measured(run: Run, lineage: Lineage) -> Run:
     """The run with the yardstick, if all associations are known and the frames not too many.
 
     If it cannot be computed, a warning says why.

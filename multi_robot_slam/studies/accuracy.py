@@ -149,7 +149,9 @@ def _row(
     filter_settings: FilterSettings,
 ) -> Row:
     run, pipeline = exploration.estimate(explored, filter_settings)
-    figures = evaluation.evaluate(refinement.complete(run, pipeline, with_refined=True))
+    figures = evaluation.evaluate(
+        refinement.complete(run, pipeline, with_refined=True, with_yardstick=True)
+    )
     own: dict[str, Any] = {
         "filter": name,
         "robots": len(run.robots),

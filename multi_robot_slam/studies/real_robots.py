@@ -150,7 +150,7 @@ def compute(job: Job) -> list[Row]:
     run = replace(run, refined_landmarks=refined.landmarks)
     optimum: dict[str, np.ndarray] = {}
     if job.with_yardstick:
-        run = refinement.with_yardstick(run, lineage)
+        run = refinement.measured(run, lineage)
         optimum = optimum_errors(run, lineage)
     return rows_of(run, job.setup, job.filter, optimum)
 

@@ -199,7 +199,9 @@ def test_nothing_is_refined_to_nothing(explored):
 
 
 def test_completed_run_has_all_paths(explored):
-    run = refinement.complete(explored.run, explored.pipeline, with_refined=True)
+    run = refinement.complete(
+        explored.run, explored.pipeline, with_refined=True, with_yardstick=True
+    )
     for robot in run.robots.values():
         for path in (robot.mean, robot.refined, robot.yardstick):
             np.testing.assert_array_equal(path.stamps_ns, robot.path.stamps_ns)
@@ -208,7 +210,9 @@ def test_completed_run_has_all_paths(explored):
 
 def test_run_too_long_to_smooth_is_told(explored, monkeypatch):
     monkeypatch.setattr(refinement, "MAX_FRAMES", 10)
-    run = refinement.complete(explored.run, explored.pipeline, with_refined=True)
+    run = refinement.complete(
+        explored.run, explored.pipeline, with_refined=True, with_yardstick=True
+    )
     assert run.refined_landmarks is None
     assert len(run.robots["robot_1"].yardstick.stamps_ns) == 0
     assert "10 are the most" in run.warnings[-1]
@@ -219,7 +223,9 @@ def test_run_that_cannot_be_smoothed_goes_on_unrefined(explored, monkeypatch):
     record, row = lineage[20]
     lineage[20] = replace(record, positions=np.full_like(record.positions, np.nan)), row
     monkeypatch.setattr(explored.pipeline, "lineage", lambda: lineage)
-    run = refinement.complete(explored.run, explored.pipeline, with_refined=True)
+    run = refinement.complete(
+        explored.run, explored.pipeline, with_refined=True, with_yardstick=True
+    )
     assert run.refined_landmarks is None
     yardstick, refined = run.warnings[-2:]
     assert yardstick.startswith("no yardstick: smoothing ")
@@ -230,7 +236,10 @@ def test_run_that_cannot_be_smoothed_goes_on_unrefined(explored, monkeypatch):
 
 def test_command_refines(command, tmp_path):
     recordings.record(tmp_path / "bag", SCENARIO, seed=1)
-    assert command("run", tmp_path / "bag", "--out", tmp_path / "out", "--refine")[0] == 0
+    assert (
+        command("run", tmp_path / "bag", "--out", tmp_path / "out", "--refine", "--evaluate")[0]
+        == 0
+    )
     result = json.loads((tmp_path / "out" / "result.json").read_text())
     for key in ("mean_path_rmse_m", "refined_path_rmse_m", "batch_path_rmse_m"):
         assert 0 < result[key] < result["odometry_path_rmse_m"]
@@ -242,6 +251,6 @@ def test_command_refines(command, tmp_path):
 def test_live_run_has_the_yardstick_of_its_bag(tmp_path):
     _, config = recordings.record(tmp_path / "bag", is_live=True)
     live = offline.load(tmp_path / "bag")
-    again = offline.estimate(tmp_path / "bag", config, warn=lambda text: None)
+    again = offline.estimate(tmp_path / "bag", config, warn=lambda text: None, yardstick=True)
     paths = {name: robot.yardstick for name, robot in live.robots.items()}
     assert_same_paths(paths, {n: robot.yardstick for n, robot in again.robots.items()}, atol=1e-4)
