@@ -130,8 +130,8 @@ class Writer:
     def text(self, text: str) -> "Writer":
         """A string."""
         data = text.encode() + b"\0"
-        self.numbers("I", len(data))
-        self._data += data
+        self._align(4)
+        self._data += len(data).to_bytes(4, "little") + data
         return self
 
     def header(self, stamp_ns: int, frame_id: str) -> "Writer":

@@ -13,36 +13,18 @@ from msg_defs.errors import InputError
 
 _STORE = get_typestore(Stores.ROS2_JAZZY)
 _TYPES: Mapping[str, Any] = _STORE.types
-Duration = _TYPES["builtin_interfaces/msg/Duration"]
 Time = _TYPES["builtin_interfaces/msg/Time"]
 DiagnosticArray = _TYPES["diagnostic_msgs/msg/DiagnosticArray"]
-DiagnosticStatus = _TYPES["diagnostic_msgs/msg/DiagnosticStatus"]
-KeyValue = _TYPES["diagnostic_msgs/msg/KeyValue"]
-Point = _TYPES["geometry_msgs/msg/Point"]
-Pose = _TYPES["geometry_msgs/msg/Pose"]
 PoseArray = _TYPES["geometry_msgs/msg/PoseArray"]
-PoseStamped = _TYPES["geometry_msgs/msg/PoseStamped"]
-PoseWithCovariance = _TYPES["geometry_msgs/msg/PoseWithCovariance"]
 PoseWithCovarianceStamped = _TYPES["geometry_msgs/msg/PoseWithCovarianceStamped"]
-Quaternion = _TYPES["geometry_msgs/msg/Quaternion"]
-Transform = _TYPES["geometry_msgs/msg/Transform"]
-TransformStamped = _TYPES["geometry_msgs/msg/TransformStamped"]
-Twist = _TYPES["geometry_msgs/msg/Twist"]
-TwistWithCovariance = _TYPES["geometry_msgs/msg/TwistWithCovariance"]
-Vector3 = _TYPES["geometry_msgs/msg/Vector3"]
 Odometry = _TYPES["nav_msgs/msg/Odometry"]
 Path = _TYPES["nav_msgs/msg/Path"]
 Clock = _TYPES["rosgraph_msgs/msg/Clock"]
-CompressedImage = _TYPES["sensor_msgs/msg/CompressedImage"]
 PointCloud2 = _TYPES["sensor_msgs/msg/PointCloud2"]
 PointField = _TYPES["sensor_msgs/msg/PointField"]
-ColorRGBA = _TYPES["std_msgs/msg/ColorRGBA"]
 Header = _TYPES["std_msgs/msg/Header"]
 String = _TYPES["std_msgs/msg/String"]
-TFMessage = _TYPES["tf2_msgs/msg/TFMessage"]
 Marker = _TYPES["visualization_msgs/msg/Marker"]
-MarkerArray = _TYPES["visualization_msgs/msg/MarkerArray"]
-MeshFile = _TYPES["visualization_msgs/msg/MeshFile"]
 
 
 _CDR_HEADER = 4

@@ -7,14 +7,12 @@ import numpy as np
 
 from msg_defs.errors import InputError
 from msg_defs.types import FrameRecord, StepRecord
+from msg_defs.wire.cdr import Writer
 from msg_defs.wire.messages import (
     DiagnosticArray,
-    DiagnosticStatus,
-    KeyValue,
     String,
     decode,
     encode,
-    header_of,
     stamp_of,
 )
 
@@ -43,17 +41,16 @@ def decode_text(data: bytes) -> str:
 
 def encode_diagnostics(stamp_ns: int, statuses: Iterable[Status]) -> bytes:
     """DiagnosticArray."""
-    entries = [
-        DiagnosticStatus(
-            s.level,
-            s.name,
-            s.message,
-            s.hardware_id,
-            [KeyValue(*pair) for pair in s.values.items()],
-        )
-        for s in statuses
-    ]
-    return encode(DiagnosticArray(header_of(stamp_ns, ""), entries))
+    entries = list(statuses)
+    message = Writer().header(stamp_ns, "").numbers("I", len(entries))
+    for entry in entries:
+        message.numbers("B", entry.level)
+        for text in (entry.name, entry.message, entry.hardware_id):
+            message.text(text)
+        message.numbers("I", len(entry.values))
+        for key, value in entry.values.items():
+            message.text(key).text(value)
+    return message.done()
 
 
 def decode_diagnostics(data: bytes, what: str = "diagnostics") -> tuple[int, tuple[Status, ...]]:
@@ -129,7 +126,8 @@ def _frame_status(frame: FrameRecord) -> Status:
     }
     for name, dtype in (_FRAME_LISTS | _SIGHTING_LISTS).items():
         numbers = getattr(frame, name).astype(np.uint8 if dtype is bool else dtype)
-        values[name] = " ".join(map(str, numbers))
+        # As float32 a number has fewer digits.
+        values[name] = " ".join(map(str, numbers if dtype is np.float32 else numbers.tolist()))
     values["sighted"] = str(len(frame.others))
     return Status(f"fusion: {frame.robot}", values, hardware_id=frame.robot)
 

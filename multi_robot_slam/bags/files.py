@@ -219,11 +219,17 @@ def _record(schema: Schema | None, channel: Channel, message: Message) -> Record
 
 
 def _topic(channel: Channel, schema: Schema | None) -> Topic:
+    offered = channel.metadata.get("offered_qos_profiles", "")
+    return Topic(channel.topic, schema.name if schema else "", _offered_kind(offered))
+
+
+@lru_cache(maxsize=64)
+def _offered_kind(profiles: str) -> str:
+    """The kind that a channel's metadata tell; many channels tell the same, as YAML."""
     try:
-        profiles = parse_qos(channel.metadata.get("offered_qos_profiles", ""))
+        return _kind(parse_qos(profiles))
     except Exception:  # not rosbag2's: the quality of service is a hint
-        profiles = []
-    return Topic(channel.topic, schema.name if schema else "", _kind(profiles))
+        return _kind([])
 
 
 def _kind(profiles: list[Qos]) -> str:

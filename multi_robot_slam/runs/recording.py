@@ -7,7 +7,7 @@ from msg_defs import topics, wire
 from msg_defs.topics import Topic
 from msg_defs.types import Trajectory
 from multi_robot_slam.bags import BagReader
-from multi_robot_slam.runs.run import Recorded, trajectory
+from multi_robot_slam.runs.run import Recorded, by_stamp
 
 
 def recorded(path: Path, robots: Iterable[str], namespace: str | None = None) -> Recorded:
@@ -37,7 +37,7 @@ def join(
     def poses(kind: Callable[[str], Topic]) -> dict[str, Trajectory]:
         found = {robot: messages[kind(robot)] for robot in robots}
         return {
-            robot: trajectory(wire.decode_pose(data, robot) for data in stream)
+            robot: by_stamp(*wire.decode_poses(stream, robot))
             for robot, stream in found.items()
             if stream
         }

@@ -164,7 +164,7 @@ def _estimates(steps: Iterable[StepRecord], robot: str) -> list[Estimate]:
 def _online(steps: list[Estimate], predicted: Estimates) -> Trajectory:
     """All that was published by stamp; a step replaces what was predicted for its stamp."""
     at_steps = trajectory(steps)
-    return _by_stamp(
+    return by_stamp(
         np.concatenate([at_steps.stamps_ns, predicted.stamps_ns]),
         np.concatenate([at_steps.poses, predicted.poses]),
     )
@@ -174,10 +174,10 @@ def trajectory(samples: Iterable[PoseSample | Estimate]) -> Trajectory:
     """One robot's samples by stamp; of several with the same stamp the first counts."""
     samples = list(samples)
     stamps = np.array([sample.stamp_ns for sample in samples], np.int64)
-    return _by_stamp(stamps, np.array([sample.pose for sample in samples], float).reshape(-1, 3))
+    return by_stamp(stamps, np.array([sample.pose for sample in samples], float).reshape(-1, 3))
 
 
-def _by_stamp(stamps_ns: np.ndarray, poses: np.ndarray) -> Trajectory:
-    """Sorted; of several with the same stamp the first counts."""
+def by_stamp(stamps_ns: np.ndarray, poses: np.ndarray) -> Trajectory:
+    """Poses (n, 3) sorted by `stamps_ns` (n,); of several with the same stamp the first counts."""
     stamps, first = np.unique(stamps_ns, return_index=True)
     return Trajectory(stamps, poses[first])

@@ -319,7 +319,9 @@ class TestFrames:
     def test_yaw_of_a_tilted_robot(self, yaw, pitch, roll, sign):
         def tilt(message):
             rotation = Rotation.from_euler("ZYX", [yaw, pitch, roll])
-            message.pose.pose.orientation = messages.Quaternion(*(sign * rotation.as_quat()))
+            message.pose.pose.orientation = STORE.types["geometry_msgs/msg/Quaternion"](
+                *(sign * rotation.as_quat())
+            )
 
         data = changed(KINDS["pose"][0], ODOMETRY, tilt)
         assert wire.decode_pose(data, ROBOT).pose[2] == pytest.approx(yaw, abs=1e-12)
