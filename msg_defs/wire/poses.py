@@ -209,19 +209,18 @@ def planar_with_covariance(numbers: tuple[float, ...], what: str) -> tuple[np.nd
     """Pose (3,) and covariance (3, 3) of x, y, quaternion x, y, z, w, and nine covariances."""
     values = numbers[PLANAR_COUNT - 9 : PLANAR_COUNT]
     covariance = np.array(values).reshape(3, 3)
-    if any(values) and not _is_plainly_definite(*values):
+    if any(values) and not _is_plainly_definite(values):
         _require_semidefinite(covariance, what)
     x, y, *turn = numbers[:6]
     return np.array(_planar(x, y, turn, what)), covariance
 
 
-def _is_plainly_definite(
-    xx: Any, xy: Any, xw: Any, yx: Any, yy: Any, yw: Any, wx: Any, wy: Any, ww: Any
-) -> Any:
-    """Whether nine finite elements, each a number or an array, are certainly a covariance.
+def _is_plainly_definite(elements: Sequence[Any]) -> Any:
+    """Whether nine elements, each a number or an array, are certainly a finite covariance.
 
     Of a matrix that is nearly singular, or far from one in its scale, this does not tell.
     """
+    xx, xy, xw, yx, yy, yw, wx, wy, ww = elements
     volume = xx * yy * ww
     area = xx * yy
     minor = area - xy * xy
@@ -289,7 +288,7 @@ def plain_planar(numbers: np.ndarray) -> np.ndarray | None:
         is_unit = (np.abs(norms - 1) < _UNIT_TOLERANCE / 2).all()
         if values.size:
             values = values[values.any(axis=1)]
-            values = values[~_is_plainly_definite(*values.T)]
+            values = values[~_is_plainly_definite(values.T)]
     if not (is_unit and np.isfinite(place).all() and np.isfinite(values).all()):
         return None
     if not all(map(_is_semidefinite, values.reshape(-1, 3, 3))):

@@ -60,12 +60,6 @@ def run(
     refine: Annotated[
         bool, typer.Option("--refine", help="Then smooth over the best particle's associations.")
     ] = False,
-    evaluate: Annotated[
-        bool,
-        typer.Option(
-            "--evaluate", help="Then do all that `evaluate` does: the yardstick, pictures."
-        ),
-    ] = False,
 ) -> None:
     """Estimate paths and map from a recorded bag, as fast as the filter goes; no ROS needed.
 
@@ -90,9 +84,8 @@ def run(
                 warn=warn,
                 on_progress=lambda done, total: progress.update(task, completed=done, total=total),
                 refine=refine,
-                yardstick=evaluate,
                 namespace=namespace,
                 scenario=scenario,
             )
         runs.write_estimates(result, folder)
-        results.finish(result, folder, with_pictures=evaluate)
+        results.finish(result, folder, with_pictures=False)

@@ -107,7 +107,7 @@ class Fusion(EdgeNode):
 
     def close(self) -> None:
         """Publish the final paths, map and counts."""
-        self._publish_pictures()
+        self._publish_pictures(are_whole=True)
         messages, frames = len(self._inbox), self._pipeline.pending
         if messages or frames:
             self._warn(f"ended with {messages} messages and {frames} frames unfiltered")
@@ -158,7 +158,7 @@ class Fusion(EdgeNode):
         """End one run, and begin another with what has come of it already."""
         self.get_logger().warning("time went back: starting over with the same configuration")
         self._publish_steps(self._pipeline.finish())
-        self._publish_pictures()
+        self._publish_pictures(are_whole=True)
         beginning = self._rewind.beginning()
         self._begin()
         self._health.start_over()
@@ -172,12 +172,12 @@ class Fusion(EdgeNode):
         self._outputs.steps(steps, self._pipeline)
         self._has_news |= bool(steps)
 
-    def _publish_pictures(self) -> None:
+    def _publish_pictures(self, are_whole: bool = False) -> None:
         step = self._health.step
-        if step is None or not self._has_news:
+        if step is None or not (self._has_news or are_whole):
             return
         self._has_news = False
-        self._health.landmarks = self._outputs.pictures(step.stamp_ns, self._pipeline)
+        self._health.landmarks = self._outputs.pictures(step.stamp_ns, self._pipeline, are_whole)
         self.get_logger().info(self._health.progress(), throttle_duration_sec=PROGRESS_PERIOD_S)
 
     def _publish_diagnostics(self) -> None:

@@ -12,6 +12,7 @@ from msg_defs.types import Estimate, StepRecord
 from multi_robot_slam.config import SECTION, Config
 from multi_robot_slam.models.motion import increment, move
 from multi_robot_slam.pipeline.pipeline import Pipeline
+from multi_robot_slam.pipeline.thinning import thinned
 
 
 class Outputs:
@@ -60,9 +61,14 @@ class Outputs:
         if topics.TF in self._publishers:
             self._publish(topics.TF, _transform(estimate, odometry))
 
-    def pictures(self, stamp_ns: int, pipeline: Pipeline) -> int:
-        """Publish map, paths and particles; the number of landmarks."""
+    def pictures(self, stamp_ns: int, pipeline: Pipeline, are_whole: bool = False) -> int:
+        """Publish map, paths and particles; the number of landmarks.
+
+        Long paths are thinned unless they are to be whole, as at the end.
+        """
         landmarks, paths = pipeline.landmark_map(), pipeline.trajectories()
+        if not are_whole:
+            paths = {robot: thinned(path) for robot, path in paths.items()}
         self._publish(topics.MAP_LANDMARKS, wire.encode_map(landmarks, stamp_ns))
         self._publish(topics.MAP_MARKERS, wire.encode_markers(landmarks, paths, stamp_ns))
         for robot, path in paths.items():

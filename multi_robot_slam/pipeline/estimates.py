@@ -1,6 +1,6 @@
 """What the filter's state knows: the map, and every robot's path."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -20,11 +20,7 @@ def landmark_map(state: State, config: Config) -> LandmarkMap:
     if config.publishes_mean:
         values = landmarks.mixture(columns, resampling.normalise(state.log_weights))
     ids = landmarks.ids[columns]
-    observations = np.zeros(ids.max(initial=-1) + 1, np.uint32)
-    robots = np.zeros_like(observations)
-    for record, row in state.history.lineage(best):
-        np.add.at(observations, record.matches[:, row], 1)
-        np.bitwise_or.at(robots, record.matches[:, row], np.uint32(1 << record.robot))
+    observations, robots = _seen(list(state.history.lineage(best)), ids.max(initial=-1) + 1)
     return LandmarkMap(
         ids=ids.astype(np.uint32),
         positions=values[:, :3].astype(np.float32),
@@ -33,6 +29,20 @@ def landmark_map(state: State, config: Config) -> LandmarkMap:
         robots=robots[ids],
         descriptors=landmarks.descriptors[columns],
     )
+
+
+def _seen(past: Sequence[tuple[Record, int]], landmarks: int) -> tuple[np.ndarray, np.ndarray]:
+    """How often each of so many landmarks was observed in a past, and by which robots, as bits."""
+    if not past:
+        return np.zeros(landmarks, np.uint32), np.zeros(landmarks, np.uint32)
+    matches = [record.matches[:, row] for record, row in past]
+    by_robot = np.repeat([record.robot for record, _ in past], [len(ids) for ids in matches])
+    ids = np.concatenate(matches)
+    observations = np.bincount(ids, minlength=landmarks)
+    robots = np.zeros(len(observations), np.uint32)
+    for robot in np.unique(by_robot).tolist():
+        robots[ids[by_robot == robot]] |= np.uint32(1 << robot)
+    return observations.astype(np.uint32), robots
 
 
 def lineage(state: State) -> list[tuple[Record, int]]:

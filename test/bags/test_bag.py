@@ -539,3 +539,28 @@ def test_run_names_the_topics_it_expected(command, tmp_path):
     code, out, err = command("run", tmp_path / "bag", *words)
     assert (code, out, err.count("\n")) == (2, "", 1), err
     assert "expected /robot_1/odom, /robot_1/stereo/landmarks; its topics are /chatter" in err
+
+
+def test_chunks_that_overlap_are_read_as_the_library_does(tmp_path):
+    """In any order of time, many to a chunk, with equal stamps, of chosen topics or all."""
+    rng = np.random.default_rng(3)
+    path = tmp_path / "x.mcap"
+    with path.open("wb") as stream:
+        writer = Writer(stream, chunk_size=600, compression=CompressionType.NONE)
+        writer.start("ros2")
+        schema = writer.register_schema("std_msgs/msg/String", "ros2msg", b"")
+        channels = [writer.register_channel(f"/{n}", "cdr", schema) for n in range(3)]
+        for i in range(500):
+            stamp = max(0, i // 4 + int(rng.integers(-30, 30)))
+            writer.add_message(channels[rng.integers(3)], stamp, bytes([i % 256]) * 40, stamp)
+        writer.finish()
+    for names in (None, ["/1"], ["/0", "/2"], []):
+        with path.open("rb") as stream:
+            expected = [
+                (channel.topic, message.log_time, message.data)
+                for _, channel, message in make_reader(stream).iter_messages(names)
+            ]
+        found = [(r.topic, r.stamp_ns, r.data) for r in BagReader(path).records(names)]
+        assert found == expected
+    counts = BagReader(path).summary.counts
+    assert counts == {name: sum(r.topic == name for r in BagReader(path)) for name in counts}

@@ -27,7 +27,8 @@ from msg_defs.types import (
     Trajectory,
     Walls,
 )
-from msg_defs.wire import messages
+from msg_defs.wire import cdr, clouds, messages
+from msg_defs.wire import poses as poses_wire
 
 ROBOT = "robot_2"
 STAMP = 1_700_000_000_123_456_789
@@ -761,3 +762,121 @@ def test_of_many_estimates_a_bad_one_is_refused(change, told):
     sent = [wire.encode_estimate(good), wire.encode_estimate(replace(good, **change))]
     with pytest.raises(InputError, match=told):
         wire.decode_estimates(sent, ROBOT)
+
+
+def general(monkeypatch):
+    """Nothing is read in place: all goes through the general reader."""
+    monkeypatch.setattr(cdr.Layout, "read", lambda self, data: None)
+    monkeypatch.setattr(cdr.Layout, "read_all", lambda self, data: None)
+    monkeypatch.setattr(clouds, "_plain_cloud", lambda data, table: None)
+    monkeypatch.setattr(poses_wire, "_plain_path", lambda data: None)
+
+
+def outcome(decode, data):
+    """What is decoded, as plain values, or the complaint."""
+    try:
+        return plain(decode(data))
+    except InputError as error:
+        return str(error)
+
+
+def plain(value):
+    if isinstance(value, np.ndarray):
+        return value.dtype.str, value.shape, value.tobytes()
+    if is_dataclass(value):
+        return [plain(getattr(value, field.name)) for field in fields(value)]
+    return [plain(v) for v in value] if isinstance(value, tuple | list) else value
+
+
+def spoilt(data, rng):
+    """The message with a few bytes changed, cut, or more of them."""
+    changed_bytes = bytearray(data)
+    for place in rng.integers(0, len(data), rng.integers(0, 4)).tolist():
+        changed_bytes[place] = rng.choice([0, 1, 127, 128, 255, int(rng.integers(256))])
+    end = rng.choice([len(data)] * 6 + [len(data) - 1, int(rng.integers(len(data)))])
+    return bytes(changed_bytes[:end]) + bytes(int(rng.integers(5)) * int(rng.random() < 0.3))
+
+
+READ_IN_PLACE = [
+    "pose",
+    "observations",
+    "sightings",
+    "observation_truth",
+    "map",
+    "estimate",
+    "path",
+]
+
+
+@pytest.mark.parametrize("kind", READ_IN_PLACE)
+def test_reading_in_place_gives_what_the_general_reader_gives(kind, monkeypatch):
+    data, decode = KINDS[kind]
+    rng = np.random.default_rng(5)
+    messages = [data, *(spoilt(data, rng) for _ in range(1500))]
+    # the head is where damage can mislead
+    messages += [spoilt(data[:80], rng)[:80].ljust(80, b"\0") + data[80:] for _ in range(1500)]
+    found = [outcome(decode, message) for message in messages]
+    general(monkeypatch)
+    assert found == [outcome(decode, message) for message in messages]
+    assert len({str(o) for o in found if isinstance(o, str)}) > 3
+
+
+@pytest.mark.parametrize("kind", ["pose", "estimate"])
+@pytest.mark.parametrize("covariance", ["definite", "singular", "zero", "negative", "uneven"])
+def test_many_at_once_are_those_one_by_one(kind, covariance):
+    rng = np.random.default_rng(6)
+    matrix = {
+        "definite": np.diag([1e-9, 3.0, 1e6]),
+        "singular": np.ones((3, 3)),
+        "zero": np.zeros((3, 3)),
+        "negative": np.diag([1.0, 1.0, -1.0]),
+        "uneven": np.array([[1, 0.1, 0], [0.2, 1, 0], [0, 0, 1.0]]),
+    }[covariance]
+    samples = [
+        PoseSample(ROBOT, STAMP + i, rng.normal(size=3), rng.normal(size=2), np.diag([1.0, 2, 3]))
+        for i in range(20)
+    ]
+    samples[7] = replace(samples[7], covariance=matrix)
+    if kind == "pose":
+        messages = [encode_odometry(sample) for sample in samples]
+        one, all_of_them = wire.decode_pose, wire.decode_poses
+    else:
+        estimates = [Estimate(ROBOT, s.stamp_ns, s.pose, s.covariance) for s in samples]
+        messages = [wire.encode_estimate(estimate) for estimate in estimates]
+        one, all_of_them = wire.decode_estimate, wire.decode_estimates
+    if covariance in ("negative", "uneven"):
+        for read in (lambda: all_of_them(messages, ROBOT), lambda: one(messages[7], ROBOT)):
+            with pytest.raises(InputError, match="not symmetric and positive"):
+                read()
+        return
+    expected = [one(message, ROBOT) for message in messages]
+    stamps, found = all_of_them(messages, ROBOT)[:2]
+    assert stamps.tolist() == [sample.stamp_ns for sample in expected]
+    np.testing.assert_array_equal(found, [sample.pose for sample in expected])
+
+
+def test_messages_written_in_place_are_those_of_the_general_writer():
+    """Decoded and encoded again by rosbags, they are the same bytes."""
+    types = {
+        "pose": ODOMETRY,
+        "path": "nav_msgs/msg/Path",
+        "walls": "visualization_msgs/msg/Marker",
+    }
+    types |= {"estimate": "geometry_msgs/msg/PoseWithCovarianceStamped"}
+    types |= {"particles": "geometry_msgs/msg/PoseArray"}
+    types |= dict.fromkeys(("step", "diagnostics"), "diagnostic_msgs/msg/DiagnosticArray")
+    for kind, name in types.items():
+        data = KINDS[kind][0]
+        assert bytes(STORE.serialize_cdr(STORE.deserialize_cdr(data, name), name)) == data, kind
+    for count in (0, 1, 2, 3):
+        paths = {"robot_1": trajectory(count), "röbot": trajectory(count + 1)}
+        others = {
+            "nav_msgs/msg/Path": wire.encode_path(trajectory(count), STAMP),
+            "geometry_msgs/msg/PoseArray": wire.encode_particles(np.ones((count, 3)), STAMP),
+            "visualization_msgs/msg/MarkerArray": wire.encode_markers(
+                landmark_map(count), paths, STAMP
+            ),
+            "tf2_msgs/msg/TFMessage": wire.encode_transform(STAMP, "m" * count, "x", np.ones(3)),
+        }
+        for name, data in others.items():
+            assert bytes(STORE.serialize_cdr(STORE.deserialize_cdr(data, name), name)) == data

@@ -85,3 +85,21 @@ def test_run_through_reports_every_step_as_it_is_done(bag):
     assert [step.step for step in steps] == list(range(1, len(steps) + 1))
     assert told == steps[: len(told)]
     assert len(told) > len(steps) // 2
+
+
+def test_progress_ends_at_the_number_of_messages(bag):
+    told = []
+    config = offline.recorded_config(bag)
+    offline.estimate(bag, config, warn=pytest.fail, on_progress=lambda *now: told.append(now))
+    done, totals = zip(*told, strict=True)
+    assert set(totals) == {len(list(offline.events(bag, config)))}
+    assert list(done) == sorted(done)
+    assert totals[0] // 2 < done[-1] <= totals[0]
+
+
+def test_the_yardstick_is_computed_when_it_is_asked_for(bag):
+    config = offline.recorded_config(bag)
+    plain = offline.estimate(bag, config, warn=pytest.fail)
+    asked = offline.estimate(bag, config, warn=pytest.fail, yardstick=True)
+    assert not any(len(robot.yardstick.poses) for robot in plain.robots.values())
+    assert all(len(robot.yardstick.poses) for robot in asked.robots.values())
