@@ -215,7 +215,7 @@ def planar_with_covariance(numbers: tuple[float, ...], what: str) -> tuple[np.nd
     return np.array(_planar(x, y, turn, what)), covariance
 
 
-def _is_plainly_definite(elements: Sequence[Any]) -> Any:
+def _is_plainly_definite(elements: Iterable[Any]) -> Any:
     """Whether nine elements, each a number or an array, are certainly a finite covariance.
 
     Of a matrix that is nearly singular, or far from one in its scale, this does not tell.

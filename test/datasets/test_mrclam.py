@@ -147,6 +147,7 @@ def test_what_has_no_truth_is_told_and_the_rest_is_judged(command, uneven, tmp_p
     assert re.search(r"robot_1 .* 60 +23 *\n", printed)
     assert "Frames without truth are estimated" in " ".join(printed.split())
     assert command("run", bag, "--out", out, "--particles", "50")[0] == 0
+    assert command("evaluate", out)[0] == 0
     result = json.loads((out / "result.json").read_text())
     assert result["dropped"] == {}
     assert result["odometry_path_rmse_m"] < 1e-3

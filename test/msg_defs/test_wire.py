@@ -687,15 +687,20 @@ class TestRos:
 @given(stamps, st.booleans())
 def test_the_stamp_of_a_message_is_read_without_the_rest(stamp_ns, is_little_endian):
     data = STORE.serialize_cdr(
-        messages.PoseStamped(messages.header_of(stamp_ns, "map"), messages_pose()),
-        messages.PoseStamped.__msgtype__,
+        STORE.types["geometry_msgs/msg/PoseStamped"](
+            messages.header_of(stamp_ns, "map"), messages_pose()
+        ),
+        STORE.types["geometry_msgs/msg/PoseStamped"].__msgtype__,
         little_endian=is_little_endian,
     )
     assert wire.peek_stamp(bytes(data)[:12], "it") == stamp_ns
 
 
 def messages_pose():
-    return messages.Pose(messages.Point(1.0, 2.0, 0.0), messages.Quaternion(0.0, 0.0, 0.0, 1.0))
+    return STORE.types["geometry_msgs/msg/Pose"](
+        STORE.types["geometry_msgs/msg/Point"](1.0, 2.0, 0.0),
+        STORE.types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0),
+    )
 
 
 @pytest.mark.parametrize(
@@ -717,12 +722,14 @@ def test_an_estimate_is_packed_as_ros_encodes_it(stamp_ns, pose, root):
     spatial = np.zeros((6, 6))
     spatial[np.ix_((0, 1, 5), (0, 1, 5))] = own.covariance
     half = float(pose[2]) / 2
-    orientation = messages.Quaternion(0.0, 0.0, np.sin(half), np.cos(half))
-    place = messages.Pose(messages.Point(pose[0], pose[1], 0.0), orientation)
+    orientation = STORE.types["geometry_msgs/msg/Quaternion"](0.0, 0.0, np.sin(half), np.cos(half))
+    place = STORE.types["geometry_msgs/msg/Pose"](
+        STORE.types["geometry_msgs/msg/Point"](pose[0], pose[1], 0.0), orientation
+    )
     expected = messages.encode(
         messages.PoseWithCovarianceStamped(
             messages.header_of(stamp_ns, "map"),
-            messages.PoseWithCovariance(place, spatial.ravel()),
+            STORE.types["geometry_msgs/msg/PoseWithCovariance"](place, spatial.ravel()),
         )
     )
     assert wire.encode_estimate(own) == expected

@@ -236,10 +236,8 @@ def test_run_that_cannot_be_smoothed_goes_on_unrefined(explored, monkeypatch):
 
 def test_command_refines(command, tmp_path):
     recordings.record(tmp_path / "bag", SCENARIO, seed=1)
-    assert (
-        command("run", tmp_path / "bag", "--out", tmp_path / "out", "--refine", "--evaluate")[0]
-        == 0
-    )
+    assert command("run", tmp_path / "bag", "--out", tmp_path / "out", "--refine")[0] == 0
+    assert command("evaluate", tmp_path / "out")[0] == 0
     result = json.loads((tmp_path / "out" / "result.json").read_text())
     for key in ("mean_path_rmse_m", "refined_path_rmse_m", "batch_path_rmse_m"):
         assert 0 < result[key] < result["odometry_path_rmse_m"]
