@@ -8,7 +8,7 @@ import worlds
 from multi_robot_slam.filter import rbpf
 from multi_robot_slam.models.frames import BodySightings
 from multi_robot_slam.models.symmetric import pack
-from multi_robot_slam.smoothing import solve
+from multi_robot_slam.smoothing import absorption, solve
 from multi_robot_slam.smoothing.envelope import envelope_of
 from multi_robot_slam.smoothing.prior import Prior
 from multi_robot_slam.smoothing.problem import Problem, problem_of
@@ -61,10 +61,27 @@ def posed(state, settings, particle=0, sighted=False):
     return problem_of(records, identities, prior, settings.motion), poses
 
 
+def later(steps=18, count=18, sighted=False):
+    """The problem of a drive whose first `count` records have left, and its records' poses."""
+    state, settings = filtered(steps=steps)
+    records, identities, poses = remembered(state, sighted=sighted)
+    known = Prior.exact(worlds.START)
+    whole = problem_of(records, identities, known, settings.motion)
+    known = absorption.absorb(whole, solve.smooth(whole, poses), count, known)
+    rest = problem_of(records[count:], identities[count:], known, settings.motion, also=known.ids)
+    return rest, poses[count:]
+
+
 def covariance_of(found):
     """(3 P, 3 P) of the records' poses."""
-    own = slice(3 * len(found.anchors), found.poses.size)
-    deviations = found.factor.solve_upper(np.eye(found.factor.size))[own]
+    first, last = 3 * len(found.anchors), found.poses.size
+    return covariance_of_views(found)[first:last, first:last]
+
+
+def covariance_of_views(found):
+    """(3 (A + P) + 2 a, ...) of poses and centres."""
+    known = found.poses.size + 2 * len(found.centres)
+    deviations = found.factor.solve_upper(np.eye(found.factor.size))[:known]
     return deviations @ deviations.T
 
 
@@ -104,5 +121,6 @@ def straight(seed=0, poses=6, landmarks=4):
 
 
 def start_of(poses):
-    """A problem's prior: nothing but known start poses (K, 3)."""
-    return Prior.exact(poses).active(np.arange(len(poses)), np.empty(0, int))
+    """A problem's prior: nothing but start poses (K, 3) that are known, headings above all."""
+    active = Prior.exact(poses).active(np.arange(len(poses)), np.empty(0, int))
+    return active._replace(information=1e16 * np.eye(poses.size))

@@ -43,6 +43,8 @@ class Leaving(NamedTuple):
     problem: Problem
     views: np.ndarray
     """(V, 3)"""
+    landmarks: np.ndarray
+    """(N, 3)"""
     weights: np.ndarray
     """(O + S,)"""
 
@@ -180,27 +182,33 @@ def _leaving(problem: Problem, smoothed: Smoothed, count: int, prior: Prior) -> 
         ),
     )
     weights = smoothed.weights[np.append(kept, sighted)]
-    return Leaving(part, smoothed.views[views], weights)
+    return Leaving(part, smoothed.views[views], smoothed.landmarks[is_in, :3], weights)
 
 
 def _belief(leaving: Leaving) -> Belief:
-    """One step of Gauss-Newton, and the covariance there."""
-    problem, views, weights = leaving
+    """One step of Gauss-Newton from where the window's optimum has all, and the covariance there.
+
+    The landmarks too count as they lie at that optimum, though they have a gradient there: so what
+    remains has the same derivatives as before.
+    """
+    problem, views, at_optimum, weights = leaving
     columns, envelope = problem.columns, cheapest_envelope(problem)
     landmarks, _ = landmarks_and_distances(problem, views, weights)
-    factor = factorised(problem, views, landmarks, weights, envelope)
-    gradient = gradient_of(problem, views, landmarks, weights)
+    covariances, apart = landmarks[:, 3:], at_optimum - landmarks[:, :3]
+    linearised = np.append(at_optimum, covariances, axis=1)
+    jacobians = np.zeros((apart.size, columns[-1]))
+    everything, observations = np.arange(len(landmarks)), problem.observations(weights)
+    kernels.add_landmark_jacobians(everything, observations, views, columns, linearised, jacobians)
+    gradient = gradient_of(problem, views, linearised, weights)
+    pull = unpack(inverses(covariances)) @ apart[:, :, None]
+    gradient += jacobians.T @ pull.ravel()
+    factor = factorised(problem, views, linearised, weights, envelope)
     step = -factor.solve_upper(factor.solve_lower(gradient))[: columns[-1]]
     deviations = factor.solve_upper(np.eye(factor.size))[: columns[-1]]
-    jacobians = np.zeros((3 * len(landmarks), columns[-1]))
-    everything = np.arange(len(landmarks))
-    kernels.add_landmark_jacobians(
-        everything, problem.observations(weights), views, columns, landmarks, jacobians
-    )
     of_landmarks = (jacobians @ deviations).reshape(len(landmarks), 3, -1)
     last = {robot: p for p, robot in enumerate(problem.robots.tolist())}
     anchors = 3 * np.array([last[robot] for robot in problem.anchors], int)[:, None] + np.arange(3)
-    covariances, moved = _share(problem, landmarks[:, 3:])
+    covariances, moved = _share(problem, covariances)
     covariances[:, 5] += np.sum(of_landmarks[:, 2] ** 2, axis=1)
     old = problem.prior_columns
     return Belief(

@@ -141,7 +141,7 @@ def envelope_of(problem: Problem, hubs: np.ndarray) -> Envelope:
     """The envelope of the information of poses, centres and `hubs` (H,), other landmarks out."""
     is_hub = np.zeros(len(problem.ids), bool)
     is_hub[hubs] = True
-    views, centres = len(problem.columns) - 1, len(problem.prior.rows)
+    views = len(problem.columns) - 1
     order = _order(problem, is_hub)
     earliest = _earliest(problem, _inverse(order, views))
     hubs_in_order = views + np.argsort(-earliest[hubs], kind="stable")
@@ -149,10 +149,8 @@ def envelope_of(problem: Problem, hubs: np.ndarray) -> Envelope:
     order = np.concatenate([order, hubs_in_order, anchors, np.arange(problem.poses, views)])
     place = _inverse(order, len(order))
     first = _first_places(problem, hubs, is_hub, place)
-    last_part = len(order) - centres
-    tiles = np.concatenate(
-        [np.arange(0, last_part, TILE), np.arange(last_part, len(order), 3 * TILE // 2)]
-    )
+    tied = len(order) - len(anchors) - len(problem.prior.rows)
+    tiles = np.concatenate([np.arange(0, tied, TILE), np.arange(tied, len(order), 3 * TILE // 2)])
     first_tiles = np.searchsorted(tiles, np.minimum.reduceat(first, tiles), side="right") - 1
     widths = np.full(len(order), 3)
     widths[problem.poses : views] = 2

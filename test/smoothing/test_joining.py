@@ -7,6 +7,7 @@ from drives import GATE, filtered, remembered
 from scipy.stats import chi2
 
 from multi_robot_slam.smoothing import joining, solve
+from multi_robot_slam.smoothing.prior import Prior
 from multi_robot_slam.smoothing.problem import problem_of
 
 SPLIT = 1000
@@ -29,7 +30,7 @@ def joined(split, alike, exclusive=False, gate=GATE):
     def smoothed_with(aliases, poses):
         calls.append(len(aliases))
         named = [aliases.of(ids) for ids in identities]
-        problem = problem_of(records, named, worlds.START, worlds.settings().motion)
+        problem = problem_of(records, named, Prior.exact(worlds.START), worlds.settings().motion)
         return problem, solve.smooth(problem, poses)
 
     return *joining.smooth_and_join(smoothed_with, poses, alike, gate, exclusive), calls
@@ -74,7 +75,7 @@ def test_what_one_frame_saw_stays_apart(split):
     everything = np.array([[a, b] for a in names for b in names if a < b])
     assert len(joined(split, everything, exclusive=False, gate=1e9)[0].ids) == 1
     problem = joined(split, everything, exclusive=True, gate=1e9)[0]
-    for p in range(len(problem.robots)):
+    for p in range(problem.poses):
         seen = problem.landmarks[problem.seen_from == p]
         assert len(np.unique(seen)) == len(seen)
 

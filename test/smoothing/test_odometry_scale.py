@@ -9,6 +9,7 @@ from multi_robot_slam.filter import rbpf
 from multi_robot_slam.filter.settings import RejuvenationSettings
 from multi_robot_slam.smoothing import odometry_scale, solve
 from multi_robot_slam.smoothing.odometry_scale import Scales
+from multi_robot_slam.smoothing.prior import Prior
 from multi_robot_slam.smoothing.problem import problem_of
 
 NOISE = worlds.settings().motion
@@ -34,7 +35,7 @@ def history(seed=0, steps=25):
 
 
 def smoothed_with(records, identities, poses, factors):
-    problem = problem_of(records, identities, worlds.START, NOISE, factors=factors)
+    problem = problem_of(records, identities, Prior.exact(worlds.START), NOISE, factors)
     return problem, solve.smooth(problem, poses, smallest_step=1e-8)
 
 
@@ -43,7 +44,7 @@ def test_the_step_is_newton_s_on_the_cost_with_the_paths_at_their_best():
     motions = np.array([record.motion for record in records])
     scales, h = Scales.unknown(3, 0.1), 1e-3
     problem, best = smoothed_with(records, identities, poses, scales.factors)
-    gradient, curvature = odometry_scale._profile(problem, best, motions)
+    gradient, curvature = odometry_scale._profile(problem, best, motions, 6)
     for k in range(6):
         cost = []
         for sign in (-1, 1):
@@ -65,7 +66,7 @@ def test_fixed_poses_leave_what_they_say():
     scales = Scales.unknown(3, 0.1)
     problem, best = smoothed_with(records, identities, poses, scales.factors)
     learnt = odometry_scale.learn(scales, problem, best, motions, fixed=1.0)
-    _, curvature = odometry_scale._profile(problem, best, motions)
+    _, curvature = odometry_scale._profile(problem, best, motions, 6)
     np.testing.assert_allclose(learnt.information, scales.information + curvature)
     np.testing.assert_allclose(learnt.mean, learnt.factors.ravel())
 

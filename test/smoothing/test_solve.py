@@ -6,7 +6,7 @@ import gtsam
 import numpy as np
 import pytest
 import worlds
-from drives import GATE, covariance_of, filtered, posed, remembered, straight, with_hubs
+from drives import GATE, covariance_of, filtered, later, posed, remembered, straight, with_hubs
 from hypothesis import given
 from hypothesis import strategies as st
 from threadpoolctl import threadpool_limits
@@ -16,7 +16,8 @@ from multi_robot_slam.models.symmetric import unpack
 from multi_robot_slam.smoothing import cost, linearised, marginals, solve
 from multi_robot_slam.smoothing.cost import landmarks_and_distances
 from multi_robot_slam.smoothing.envelope import envelope_of, factorise
-from multi_robot_slam.smoothing.problem import Known, problem_of
+from multi_robot_slam.smoothing.prior import SMALLEST_SIGMA, Prior
+from multi_robot_slam.smoothing.problem import problem_of, views_of
 from multi_robot_slam.smoothing.solve import SmoothingError, smooth
 
 
@@ -41,7 +42,7 @@ def weights_of_one(problem):
 
 def dense(problem):
     """Mean and covariance of all x, y and landmarks of a straight world by least squares."""
-    poses, landmarks = len(problem.robots), len(problem.ids)
+    poses, landmarks = len(problem.motions), len(problem.ids)
     rows, values = [], []
     for p in range(poses):
         A = np.zeros((2, 2 * poses + 3 * landmarks))
@@ -53,7 +54,8 @@ def dense(problem):
     W = unpack(problem.information)
     for o, landmark in enumerate(problem.landmarks):
         A = np.zeros((3, 2 * poses + 3 * landmarks))
-        A[:2, 2 * problem.seen_from[o] : 2 * problem.seen_from[o] + 2] = -np.eye(2)
+        first = 2 * (problem.seen_from[o] - 1)
+        A[:2, first : first + 2] = -np.eye(2)
         A[:, 2 * poses + 3 * landmark : 2 * poses + 3 * landmark + 3] = np.eye(3)
         root = np.linalg.cholesky(W[o]).T
         rows.append(root @ A)
@@ -69,38 +71,106 @@ def test_linear_world_is_solved_exactly(monkeypatch, share):
     problem = straight()
     mean, covariance = dense(problem)
     found = smooth(problem, np.zeros((6, 3)))
-    np.testing.assert_allclose(found.poses[:, :2].ravel(), mean[:12], atol=1e-9)
+    np.testing.assert_allclose(found.of_records[:, :2].ravel(), mean[:12], atol=1e-9)
     np.testing.assert_allclose(found.landmarks[:, :3].ravel(), mean[12:], atol=1e-9)
     xy = np.arange(18).reshape(6, 3)[:, :2].ravel()
     of_poses = covariance_of(found)[np.ix_(xy, xy)]
     np.testing.assert_allclose(of_poses, covariance[:12, :12], atol=1e-9)
     Y = marginals.landmark_deviations(problem, found).reshape(12, -1)
     chosen = marginals.landmark_deviations(problem, found, np.array([2, 0]))
-    np.testing.assert_allclose(chosen, Y.reshape(4, 3, -1)[[2, 0]], rtol=1e-12)
+    np.testing.assert_allclose(chosen, Y.reshape(4, 3, -1)[[2, 0]], rtol=1e-12, atol=1e-15)
     marginal = Y @ Y.T
     for n, given_poses in enumerate(unpack(found.landmarks[:, 3:])):
         marginal[3 * n : 3 * n + 3, 3 * n : 3 * n + 3] += given_poses
     np.testing.assert_allclose(marginal, covariance[12:, 12:], atol=1e-9)
 
 
-def plain_cost(problem, poses):
-    ones = weights_of_one(problem)
-    _, squared = landmarks_and_distances(problem, poses, ones)
-    return cost.cost(problem, poses, squared, np.inf)
+def plain_cost(problem, views):
+    _, squared = landmarks_and_distances(problem, views, weights_of_one(problem))
+    return cost.cost(problem, views, squared, np.inf)
 
 
-def test_gradient_is_the_finite_difference(drive):
-    problem, poses = drive
-    poses = poses + np.random.default_rng(0).normal(0, 0.01, poses.shape)
-    ones = weights_of_one(problem)
-    landmarks, _ = landmarks_and_distances(problem, poses, ones)
-    gradient = linearised.gradient_of(problem, poses, landmarks, ones)
-    for index in range(9, poses.size, 7):
-        step = np.zeros(poses.size)
+def at(problem, poses):
+    """The views of records' poses, with anchors and centres as they were known before."""
+    poses = np.concatenate([problem.prior.poses, poses])
+    return views_of(poses, problem.prior.centres)
+
+
+def nearby(problem, poses, seed):
+    """Views around `poses`, anchors and centres within their uncertainty."""
+    views = at(problem, poses)
+    rng = np.random.default_rng(seed)
+    step = rng.normal(0, 0.01, problem.columns[-1])
+    known = np.linalg.cholesky(np.linalg.inv(problem.prior.information))
+    step[problem.prior_columns] = 0.1 * known @ rng.standard_normal(len(known))
+    return views + by_view(problem, step)
+
+
+def by_view(problem, step):
+    poses, centres = np.split(step, [3 * problem.poses])
+    return views_of(poses.reshape(-1, 3), centres.reshape(-1, 2))
+
+
+@pytest.mark.parametrize("with_centres", [False, True])
+def test_gradient_is_the_finite_difference(drive, with_centres):
+    problem, poses = later() if with_centres else drive
+    views, ones = nearby(problem, poses, 0), weights_of_one(problem)
+    landmarks, _ = landmarks_and_distances(problem, views, ones)
+    gradient = linearised.gradient_of(problem, views, landmarks, ones)
+    for index in range(9, len(gradient), 7):
+        step = np.zeros(len(gradient))
         step[index] = 1e-6
-        step = step.reshape(-1, 3)
-        numeric = (plain_cost(problem, poses + step) - plain_cost(problem, poses - step)) / 2e-6
+        step = by_view(problem, step)
+        numeric = (plain_cost(problem, views + step) - plain_cost(problem, views - step)) / 2e-6
         assert gradient[index] == pytest.approx(numeric, rel=1e-4, abs=1e-2)
+
+
+@pytest.mark.parametrize("hubs", [[], [3, 8, 30]], ids=["none", "three"])
+def test_information_is_the_difference_of_the_gradient_at_the_optimum(hubs):
+    """Of Gauss-Newton's where residuals vanish: those of a problem that fits its optimum."""
+    problem, poses = later()
+    ones, views = weights_of_one(problem), smooth(problem, poses).views
+    problem = fitted(problem, views)
+    envelope = envelope_of(problem, np.array(hubs, int))
+    landmarks, squared = landmarks_and_distances(problem, views, ones)
+    assert squared.max() < 1e-12
+    elements = linearised.information_of(problem, views, landmarks, ones, envelope)
+    H = matrix(envelope, elements)[np.ix_(envelope.places, envelope.places)]
+    known, out = np.split(np.arange(len(H)), [problem.columns[-1]])
+    H = H[np.ix_(known, known)] - H[np.ix_(known, out)] @ np.linalg.solve(
+        H[np.ix_(out, out)], H[np.ix_(out, known)]
+    )
+    scale = np.sqrt(np.diag(H))
+    for index in range(0, len(H), 5):
+        step = np.zeros(len(H))
+        step[index] = 1e-3 / scale[index]
+        numeric = []
+        for sign in (1, -1):
+            moved = views + by_view(problem, sign * step)
+            landmarks, _ = landmarks_and_distances(problem, moved, ones)
+            numeric.append(linearised.gradient_of(problem, moved, landmarks, ones))
+        difference = (numeric[0] - numeric[1]) / (2 * step[index])
+        np.testing.assert_allclose(
+            difference / scale / scale[index], H[index] / scale / scale[index], atol=1e-5
+        )
+
+
+def fitted(problem, views):
+    """The problem had all measurements been what `views` and the landmarks there imply."""
+    landmarks, _ = landmarks_and_distances(problem, views, weights_of_one(problem))
+    seen_by, own = views[problem.seen_from], landmarks[problem.landmarks, :3]
+    apart = own - np.pad(seen_by[:, :2], ((0, 0), (0, 1)))
+    cos, sin = np.cos(seen_by[:, 2]), np.sin(seen_by[:, 2])
+    x, y, z = apart.T
+    positions = np.column_stack([cos * x + sin * y, cos * y - sin * x, z])
+    of_centre = problem.seen_from >= problem.poses
+    centres = problem.prior.centres.copy()
+    centres[problem.seen_from[of_centre] - problem.poses] = own[of_centre]
+    positions[of_centre, :2] = 0
+    views[problem.poses :, :2] = centres[:, :2]
+    motions = problem.motions + problem.sigmas * cost.odometry_residuals(problem, views)
+    known = problem.prior._replace(poses=views[: len(problem.anchors)].copy(), centres=centres)
+    return replace(problem, prior=known, motions=motions, positions=positions)
 
 
 def gtsam_twin(problem, poses, landmarks):
@@ -124,13 +194,13 @@ def gtsam_twin(problem, poses, landmarks):
 
         graph.add(gtsam.CustomFactor(noise, keys, error))
 
+    for p, start in enumerate(problem.prior.poses):
+        noise = gtsam.noiseModel.Isotropic.Sigma(3, SMALLEST_SIGMA)
+        add(noise, [p], lambda b, a=gtsam.Pose2(*start): moved(a, b, np.zeros(3)))
     for p, u in enumerate(problem.motions):
         noise = gtsam.noiseModel.Diagonal.Sigmas(problem.sigmas[p])
-        if problem.previous[p] < 0:
-            start = gtsam.Pose2(*problem.start_poses[problem.robots[p]])
-            add(noise, [p], lambda b, u=u, a=start: moved(a, b, u))
-        else:
-            add(noise, [problem.previous[p], p], lambda a, b, u=u: moved(a, b, u))
+        ends = [problem.previous[p], len(problem.anchors) + p]
+        add(noise, ends, lambda a, b, u=u: moved(a, b, u))
     R = np.linalg.inv(unpack(problem.information))
     for o, n in enumerate(problem.landmarks):
         noise = gtsam.noiseModel.Gaussian.Covariance(R[o])
@@ -166,9 +236,9 @@ def numeric(residual, arguments, index, variable):
 def test_optimum_is_that_of_gtsam(drive):
     problem, poses = drive
     found = smooth(problem, poses)
-    twin, places, error = gtsam_twin(problem, poses, found.landmarks)
+    twin, places, error = gtsam_twin(problem, at(problem, poses), found.landmarks)
     assert found.cost == pytest.approx(error, abs=1e-5)
-    assert plain_cost(problem, poses) > error + 1
+    assert plain_cost(problem, at(problem, poses)) > error + 1
     difference = found.poses - twin
     np.testing.assert_allclose(difference[:, :2], 0, atol=1e-4)
     np.testing.assert_allclose(wrap(difference[:, 2]), 0, atol=1e-4)
@@ -179,17 +249,19 @@ def test_optimum_is_that_of_gtsam(drive):
 def test_factor_inside_the_envelope_is_that_of_the_whole_matrix(drive, hubs):
     problem, poses = drive
     ones, envelope = weights_of_one(problem), envelope_of(problem, np.array(hubs, int))
-    landmarks, _ = landmarks_and_distances(problem, poses, ones)
-    elements = linearised.information_of(problem, poses, landmarks, ones, envelope)
+    views = at(problem, poses)
+    landmarks, _ = landmarks_and_distances(problem, views, ones)
+    elements = linearised.information_of(problem, views, landmarks, ones, envelope)
     H = matrix(envelope, elements)
     factor = factorise(envelope, elements)
-    assert len(factor.tiles) == 3
+    assert len(factor.tiles) == 4
     right = np.random.default_rng(0).standard_normal((len(H), 4))
-    of_poses = np.where(np.arange(len(H))[:, None] < poses.size, right, 0)
-    lower = np.linalg.solve(np.linalg.cholesky(H), of_poses[envelope.rows])
+    rows, known = np.argsort(envelope.places), 3 * problem.poses
+    of_poses = np.where(np.arange(len(H))[:, None] < known, right, 0)
+    lower = np.linalg.solve(np.linalg.cholesky(H), of_poses[rows])
     upper = np.linalg.solve(np.linalg.cholesky(H).T, right)
-    np.testing.assert_allclose(factor.solve_lower(right[: poses.size]), lower, atol=1e-9)
-    np.testing.assert_allclose(factor.solve_upper(right)[envelope.rows], upper, atol=1e-9)
+    np.testing.assert_allclose(factor.solve_lower(right[:known]), lower, atol=1e-9)
+    np.testing.assert_allclose(factor.solve_upper(right)[rows], upper, atol=1e-9)
 
 
 def test_envelope_follows_a_long_corridor():
@@ -200,9 +272,9 @@ def test_envelope_follows_a_long_corridor():
     seen_from = np.sort(np.stack([shuffled[:-1], shuffled[1:]], axis=1), axis=1).ravel()
     corridor = replace(
         straight(poses=2, landmarks=landmarks),
-        robots=np.zeros(poses, int),
-        previous=np.full(poses, -1),
-        seen_from=seen_from,
+        robots=np.zeros(1 + poses, int),
+        previous=np.append(0, 1 + shuffled[:-1])[np.argsort(shuffled)],
+        seen_from=1 + seen_from,
     )
     # Tiles of 72 rows reach back one tile: 12 (72^2 + 72^2) of 900^2 / 2 elements.
     assert envelope_of(corridor, np.empty(0, int)).size < 0.35 * (3 * poses) ** 2 / 2
@@ -243,7 +315,7 @@ def test_wrong_associations_are_resisted():
     planted = [3, 50, 51, 120]
     wrong[planted] += [2.0, -1.5, 0.5]
     fooled = replace(problem, positions=wrong)
-    plain, robust = smooth(fooled, right.poses), smooth(fooled, right.poses, GATE)
+    plain, robust = smooth(fooled, right.of_records), smooth(fooled, right.of_records, GATE)
     spread = np.sqrt(covariance_of(right)[0, 0])
     assert robust.weights[planted].max() < np.delete(robust.weights, planted).min()
     assert np.abs(robust.poses - right.poses).max() < spread
@@ -299,8 +371,10 @@ def test_standing_still_and_seeing_nothing_is_a_known_pose():
     problem, poses = posed(state, settings)
     for each in (problem, blind(problem)):
         found = smooth(each, poses + 0.1)
-        np.testing.assert_allclose(found.poses, worlds.START[:1], atol=1e-6)
-        assert marginals.landmark_deviations(each, found).shape == (len(each.ids), 3, 3)
+        np.testing.assert_allclose(found.of_records, worlds.START[:1], atol=1e-6)
+        deviations = marginals.landmark_deviations(each, found)
+        assert deviations.shape == (len(each.ids), 3, found.factor.size)
+        np.testing.assert_allclose(covariance_of(found), 0, atol=1e-9)
 
 
 def test_threads_of_the_linear_algebra_change_no_byte():
@@ -312,27 +386,6 @@ def test_threads_of_the_linear_algebra_change_no_byte():
             tiles = [tile.tobytes() for tile in found.factor.tiles]
             results.append((found.poses.tobytes(), tiles))
     assert results[0] == results[1]
-
-
-@pytest.mark.parametrize("sighted", [False, True])
-@pytest.mark.parametrize("robust_above", [np.inf, GATE])
-def test_optimum_stays_when_older_poses_are_fixed(sighted, robust_above):
-    """Twice: what is fixed the second time includes what is known from the first."""
-    state, settings = filtered(steps=15)
-    records, identities, poses = remembered(state, sighted=sighted)
-    start, known, first = worlds.START, Known.nothing(), 0
-    whole, whole_ids = None, np.unique(np.concatenate(identities))
-    for count in (0, 12, 18):
-        first += count
-        problem = problem_of(records[first:], identities[first:], start, settings.motion, known)
-        found = smooth(
-            problem, poses[first:] if whole is None else whole.poses[first:], robust_above
-        )
-        whole = whole or found
-        np.testing.assert_array_equal(problem.ids, whole_ids)
-        np.testing.assert_allclose(found.poses, whole.poses[first:], atol=1e-4)
-        np.testing.assert_allclose(found.landmarks[:, :3], whole.landmarks[:, :3], atol=1e-4)
-        start, known = marginals.marginalise(problem, found, 12 if first == 0 else 18)
 
 
 def test_gross_errors_are_left_out():
@@ -347,7 +400,7 @@ def test_gross_errors_are_left_out():
         for r in records
     ]
     kept = [np.delete(rows, 1) for rows in identities]
-    common = (worlds.START, settings.motion)
+    common = (Prior.exact(worlds.START), settings.motion)
     found, expected = problem_of(records, discarded, *common), problem_of(without, kept, *common)
     for name in ("seen_from", "starts", "positions", "information", "ids"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
