@@ -3,6 +3,7 @@
 `rejuvenation` has the mathematics. The snapshot is read, never changed.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -84,7 +85,7 @@ def draw(
     """
     lineage = list(old.history.lineage(members))[::-1]
     records = [record for record, _ in lineage]
-    poses = np.array([record.poses[:, rows].mean(axis=1) for record, rows in lineage])
+    poses = _first_guess(old, lineage)
     identities = [record.matches[:, rows[0]] for record, rows in lineage]
     problem, smoothed, aliases = _smooth(old, records, poses, identities, alike, settings)
     identities = [aliases.of(own) for own in identities]
@@ -143,8 +144,10 @@ def _smooth(
 ) -> tuple[Problem, Smoothed, Aliases]:
     """Smooth, and join landmarks that turn out to be one."""
     also = _nearby(old, records, identities, alike)
+    start = old.optimum.smoothed if old.optimum else None
 
     def smoothed_with(aliases: Aliases, poses: np.ndarray) -> tuple[Problem, Smoothed]:
+        nonlocal start
         problem = problem_of(
             records,
             [aliases.of(own) for own in identities],
@@ -153,9 +156,17 @@ def _smooth(
             old.scales.factors,
             also=aliases.of(also),
         )
-        return problem, solve.smooth(problem, poses, settings.robust_above, NEAR_ENOUGH)
+        start = solve.smooth(problem, poses, settings.robust_above, NEAR_ENOUGH, start)
+        return problem, start
 
     return joining.smooth_and_join(smoothed_with, poses, alike, settings.gate, settings.exclusive)
+
+
+def _first_guess(old: Snapshot, lineage: Sequence[tuple[Record, np.ndarray]]) -> np.ndarray:
+    """(P, 3): the last optimum, and the mean of the particles since."""
+    known = old.optimum.poses if old.optimum else np.empty((0, 3))
+    since = [record.poses[:, rows].mean(axis=1) for record, rows in lineage[len(known) :]]
+    return np.concatenate([known, np.array(since).reshape(-1, 3)])
 
 
 def _nearby(

@@ -30,7 +30,7 @@ from multi_robot_slam.filter import new_map
 from multi_robot_slam.filter.new_past import Drawn, draw
 from multi_robot_slam.filter.settings import FilterSettings, RejuvenationSettings
 from multi_robot_slam.filter.snapshot import Snapshot
-from multi_robot_slam.filter.state import State
+from multi_robot_slam.filter.state import Optimum, State
 from multi_robot_slam.smoothing import joining
 from multi_robot_slam.smoothing.absorption import absorb
 
@@ -105,6 +105,7 @@ def _renewed(old: Snapshot, drawn: list[Drawn], settings: FilterSettings) -> Sta
         scales=largest.learn(settle),
         prior=absorb(largest.problem, largest.smoothed, settle, largest.prior),
         covisible=old.covisible.also(largest.past.identities[:settle], largest.past.aliases),
+        optimum=Optimum(largest.smoothed.of_records[settle:], None if settle else largest.smoothed),
         steps=old.steps,
     )
     for group in old.groups:

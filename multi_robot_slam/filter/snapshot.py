@@ -8,7 +8,7 @@ from multi_robot_slam.filter import new_map, resampling
 from multi_robot_slam.filter.covisible import Covisible
 from multi_robot_slam.filter.history import History
 from multi_robot_slam.filter.new_map import Held
-from multi_robot_slam.filter.state import State
+from multi_robot_slam.filter.state import Optimum, State
 from multi_robot_slam.smoothing.odometry_scale import Scales
 from multi_robot_slam.smoothing.prior import Prior
 
@@ -26,6 +26,7 @@ class Snapshot:
     scales: Scales
     prior: Prior
     covisible: Covisible
+    optimum: Optimum | None
     groups: tuple[np.ndarray, ...]
     """Particles (n,) of each association history, the largest group first."""
     held: Held
@@ -48,6 +49,7 @@ def taken(state: State, rng: np.random.Generator) -> Snapshot:
         state.scales,
         state.prior,
         state.covisible,
+        state.optimum,
         tuple(groups),
         new_map.held(state.landmarks, others, ancestors[others]),
     )

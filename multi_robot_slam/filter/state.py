@@ -1,6 +1,7 @@
 """What the particle filter carries from step to step."""
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
@@ -9,6 +10,16 @@ from multi_robot_slam.filter.history import History
 from multi_robot_slam.filter.landmarks import Landmarks
 from multi_robot_slam.smoothing.odometry_scale import Scales
 from multi_robot_slam.smoothing.prior import Prior
+from multi_robot_slam.smoothing.solve import Smoothed
+
+
+class Optimum(NamedTuple):
+    """The most likely paths of the largest group, from where the next smoothing starts."""
+
+    poses: np.ndarray
+    """(P, 3) float64 in the first P records."""
+    smoothed: Smoothed | None
+    """Where the window begins, unless some of it has settled since."""
 
 
 @dataclass
@@ -28,6 +39,8 @@ class State:
     """What the settled frames say: of where the robots were at their end, and of landmarks."""
     covisible: Covisible = field(default_factory=Covisible.nothing)
     """Of the settled frames."""
+    optimum: Optimum | None = None
+    """What the last rejuvenation found."""
     steps: int = 0
     origins: np.ndarray = field(init=False)
     """(M,) int32: the particle right after the last rejuvenation that each descends from."""
