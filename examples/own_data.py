@@ -20,9 +20,9 @@ sigma_m = 0.02
 covariances = np.tile(np.float32([1, 0, 0, 1, 0, 1]) * sigma_m**2, (3, 1))  # xx xy xz yy yz zz
 
 rng, pipeline = np.random.default_rng(0), Pipeline(config, warn=print)
-for step in range(21):
+for step in range(9):
     for robot, (start, *_) in zip(config.robots, config.start_poses, strict=True):
-        driven_m, stamp_ns = 0.1 * step, 1 + step * 500_000_000
+        driven_m, stamp_ns = 0.25 * step, 1 + step * 500_000_000
         measured = np.array([driven_m * 1.02, 0.0, 0.0])  # the wheels slip a little
         pipeline.handle(PoseSample(robot, stamp_ns, measured))
         forward, left, up = (posters - [start + driven_m, 0.0, 0.0]).T

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from msg_defs.errors import InputError
     from msg_defs.types import ObservationSet, PoseSample
     from multi_robot_slam.bags import BagReader, BagWriter
-    from multi_robot_slam.config import Config
+    from multi_robot_slam.config import Config, Keyframe
     from multi_robot_slam.filter.settings import FilterSettings, RejuvenationSettings
     from multi_robot_slam.models.motion import MotionSettings
     from multi_robot_slam.pipeline import Pipeline
@@ -24,6 +24,7 @@ _PLACES = {
     "Config": "multi_robot_slam.config.Config",
     "FilterSettings": "multi_robot_slam.filter.settings.FilterSettings",
     "InputError": "msg_defs.errors.InputError",
+    "Keyframe": "multi_robot_slam.config.Keyframe",
     "MotionSettings": "multi_robot_slam.models.motion.MotionSettings",
     "ObservationSet": "msg_defs.types.ObservationSet",
     "Pipeline": "multi_robot_slam.pipeline.Pipeline",
@@ -43,6 +44,7 @@ __all__ = [
     "Config",
     "FilterSettings",
     "InputError",
+    "Keyframe",
     "MotionSettings",
     "ObservationSet",
     "Pipeline",

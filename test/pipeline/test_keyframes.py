@@ -19,6 +19,7 @@ from multi_robot_slam.filter.settings import RejuvenationSettings
 from multi_robot_slam.models.motion import increment, move
 from multi_robot_slam.pipeline import offline
 from multi_robot_slam.pipeline.pipeline import Pipeline
+from multi_robot_slam.runs.consistency import published_errors
 from sim_world.scenario import Scenario
 from test.pipeline.test_pipeline import events, round_robin, summary
 
@@ -210,16 +211,26 @@ def test_a_robot_that_comes_into_view_is_a_keyframe_once():
     assert [len(step.frames) for step in steps] == [2, 2]
 
 
+def test_who_watches_a_robot_pass_has_keyframes_of_it():
+    """a stands and sees b, which drives and sends no clouds."""
+    pipeline, sent = team(2, sightings=True), []
+    for t in range(1, 12):
+        sent += [odometry("a", t), odometry("b", t, 0.1 * (t - 1)), sees("a", t, 1), cloud("a", t)]
+    steps, _ = run(pipeline, sent)
+    assert stamps_of(steps) == [1, 4, 7, 10]
+    assert all([frame.robot for frame in step.frames] == ["a", "b"] for step in steps)
+    assert pipeline.frames() == {"a": FrameCount(11, 4), "b": FrameCount(0, 0)}
+
+
 def test_frames_without_clouds_do_not_keep_a_robots_own_from_becoming_keyframes():
     """b drives and is seen between its clouds: its own are keyframes all the same."""
-    pipeline = team(2, sightings=True)
-    sent = []
+    pipeline, encoded, sent = team(2, sightings=True), Encoded(), []
     for t in range(1, 41):
         sent += [odometry("a", t, 0.1 * t), odometry("b", t, 0.1 * t)]
         of_a = [sees("a", t, 1), cloud("a", t)]
-        sent += of_a if t % 2 else [sees("b", t), cloud("b", t)]
+        sent += of_a if t % 2 else [sees("b", t), encoded.cloud("b", t)]
     run(pipeline, sent)
-    assert pipeline.frames()["b"].used >= 9
+    assert len(encoded.decoded) == pipeline.frames()["b"].used >= 9
 
 
 # Clouds that are decoded when they are used
@@ -377,4 +388,6 @@ def test_a_run_keeps_what_was_predicted_and_reads_it_again(tmp_path):
         at_steps = {e.stamp_ns: e.pose for s in run.steps for e in s.estimates if e.robot == name}
         for stamp_ns, pose in zip(robot.online.stamps_ns, robot.online.poses, strict=True):
             np.testing.assert_array_equal(pose, at_steps.get(int(stamp_ns), pose))
+    judged = published_errors(again)
+    assert [len(errors) for errors, _ in judged.values()] == [25, 25]
     assert runs.evaluate(again)["pose_nees"] == pytest.approx(figures["pose_nees"])

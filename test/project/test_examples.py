@@ -120,7 +120,8 @@ def test_spawn_team_leaves_a_complete_bag(spawn, tmp_path):
         recorded.setdefault(record.topic, []).append(record.data)
     for robot in ("robot_1", "robot_2"):
         assert len(recorded[f"/{robot}/odom"]) == 31
-        assert len(recorded[f"/{robot}/pose"]) == 31
+        poses = [wire.decode_estimate(data, robot) for data in recorded[f"/{robot}/pose"]]
+        assert len({pose.stamp_ns for pose in poses}) == 31
         assert len(wire.decode_path(recorded[f"/{robot}/path"][-1], robot).poses) == 31
     _, (filter_status, *_) = wire.decode_diagnostics(recorded["/diagnostics"][-1])
     assert filter_status.values["steps"] == "31"
