@@ -139,10 +139,6 @@ def accuracy(
     resample_below: Annotated[
         float, typer.Option(min=0, max=1, help="Share of effective particles to resample below.")
     ] = 0.5,
-    rest: Annotated[
-        int | None,
-        typer.Option(min=1, help="Fewest steps between two rejuvenations, if not the scenario's."),
-    ] = None,
     first_seed: FirstSeed = 0,
     out: TableFolder = Path("runs/accuracy"),
 ) -> None:
@@ -157,7 +153,7 @@ def accuracy(
     chosen = {name: accuracy.PARTICLES[name] for name in accuracy.filters_of(filters)}
     if particles is not None:
         chosen = dict.fromkeys(chosen, experiment_grid.particle_numbers(particles))
-    base = accuracy.calibrated(resample_below, rest)
+    base = accuracy.calibrated(resample_below)
     with counter("explorations") as progress:
         task = progress.add_task("accuracy", total=None)
         rows = accuracy.study(

@@ -30,10 +30,10 @@ from multi_robot_slam.models.motion import MotionSettings
 from multi_robot_slam.runs.trajectory_errors import at, covers, sampled
 from multi_robot_slam.smoothing import joining
 
-REJUVENATION = RejuvenationSettings(rest=3, window=300)
+REJUVENATION = RejuvenationSettings(unknowns=900)
 """Cheaper than the default: with few landmarks weights are uneven, so the ancestors often run out.
 
-The window is a minute of five robots at 1 Hz; with it a smoothing takes some 40 ms.
+The window is some 300 poses then, a minute of five robots at 1 Hz.
 """
 
 FINE_HZ = 10.0

@@ -581,3 +581,31 @@ def _in_order(bits):
     integer = np.int32 if bits.bitwidth == 32 else np.int64
     sign, others = integer(bits.bitwidth - 1), np.iinfo(integer).max
     return lambda bits: integer(bits ^ (integer(bits >> sign) & integer(others)))
+
+
+@kernel
+def mix(planes, columns, rows, weights, result):
+    """Mean and covariance (N, 9) of each of `columns` (N,) over the particles that have it.
+
+    Row `rows` (N, M) of the column's planes belongs to each particle, with the `weights` (M,).
+    """
+    for n in range(len(columns)):
+        own, mixed, total = planes[columns[n]], result[n], 0.0
+        for m in range(rows.shape[1]):
+            row = rows[n, m]
+            if own[0, row] < 0.5 * FAR:
+                total += weights[m]
+                for k in range(PLANES):
+                    mixed[k] += weights[m] * own[k, row]
+        mixed /= total
+        for m in range(rows.shape[1]):
+            row = rows[n, m]
+            if own[0, row] < 0.5 * FAR:
+                share = weights[m] / total
+                x, y, z = own[0, row] - mixed[0], own[1, row] - mixed[1], own[2, row] - mixed[2]
+                mixed[3] += share * x * x
+                mixed[4] += share * x * y
+                mixed[5] += share * x * z
+                mixed[6] += share * y * y
+                mixed[7] += share * y * z
+                mixed[8] += share * z * z

@@ -12,7 +12,6 @@ from msg_defs.types import DESCRIPTOR_SIZE
 from multi_robot_slam.filter import kernels
 from multi_robot_slam.filter.reserved import enlarged, reserved
 from multi_robot_slam.models import parallel
-from multi_robot_slam.models.symmetric import pack
 
 FREE = -1
 """Id of a column that holds no landmark."""
@@ -162,16 +161,9 @@ class Landmarks:
 
         `weights` (M,) of the particles. How the means differ from particle to particle is in it.
         """
-        result = np.empty((len(columns), kernels.PLANES))
-        for n, column in enumerate(columns):
-            planes = self.planes[column][:, self._rows[self._generations[column]]].astype(float)
-            share = weights * (planes[0] < kernels.FAR / 2)
-            share /= share.sum()
-            mean = planes[:3] @ share
-            apart = planes[:3] - mean[:, None]
-            spread = (apart * share) @ apart.T
-            result[n, :3] = mean
-            result[n, 3:] = planes[3:] @ share + pack(spread)
+        result = np.zeros((len(columns), kernels.PLANES))
+        rows = self._rows[self._generations[columns]]
+        kernels.mix(self.planes, columns, rows, weights, result)
         return result
 
     def _release_unowned(self, columns: np.ndarray) -> None:

@@ -114,7 +114,7 @@ class Fusion(EdgeNode):
         self._publish_diagnostics()
 
     def _begin(self) -> None:
-        self._pipeline = Pipeline(self._config, self._warn)
+        self._pipeline = Pipeline(self._config, self._warn, keeps_frames=False)
         self._rewind = Rewind(self._config.apart_ns)
         self._has_news = False
 

@@ -102,7 +102,7 @@ def estimate(
     namespace : in which the team was recorded (`events`).
     scenario : name or file of the scenario that `config` comes from, for `result.json`.
     """
-    pipeline = Pipeline(config, warn)
+    pipeline = Pipeline(config, warn, keeps_frames=refine or yardstick)
     where = BagReader(bag).find_namespace(_inputs(config), namespace)
     predictions = runs.Predictions()
     sent = Counted(events(bag, config, pipeline.refuse, where))

@@ -60,18 +60,14 @@ class Job:
     """Filter and particles of each."""
 
 
-def calibrated(resample_below: float = 0.5, rest: int | None = None) -> Base:
-    """The calibrated scenario, and the filters that are compared in it, one thread each.
-
-    `rest` replaces that of the scenario's rejuvenation.
-    """
+def calibrated(resample_below: float = 0.5) -> Base:
+    """The calibrated scenario, and the filters that are compared in it, one thread each."""
     path = scenario_file.find_scenario("calibrated")
     config = scenario_file.from_file(Config, path, SECTION)
     own = replace(config.filter, threads=1, resample_below=resample_below)
-    often = own.rejuvenation if rest is None else replace(own.rejuvenation, rest=rest)
     never = replace(own.rejuvenation, ancestors_below=0.0)
     filters = {p: replace(own, proposal=p, rejuvenation=never) for p in ("motion", "informed")}
-    filters[REJUVENATED] = replace(own, rejuvenation=often)
+    filters[REJUVENATED] = own
     scenario = scenario_file.from_file(Scenario, path, WORLD_SECTION)
     return Base(scenario, filters, config.keyframe)
 

@@ -255,7 +255,7 @@ def test_tilted_covariances_are_nearly_what_they_were():
     found = smooth(posed, best.of_records[135:], smallest_step=1e-6)
     (mean, covariance), (expected, expected_covariance) = joint(posed, found), joint(whole, best)
     sigma, exact = np.sqrt(np.diag(covariance)), np.sqrt(np.diag(expected_covariance))
-    assert 0.85 < (sigma / exact).min()
+    assert (sigma / exact).min() > 0.85
     assert (sigma / exact).max() < 1.4
     assert np.mean(((mean - expected) / exact) ** 2) < 0.2
 

@@ -79,10 +79,9 @@ def test_rejuvenated_particles_come_near_the_optimum_and_keep_their_ancestors(ro
     assert row.ancestors > 3 > rows[2].ancestors
 
 
-def test_rest_and_the_resampling_threshold_reach_the_filters_they_concern():
-    base = accuracy.calibrated(0.25, 7)
+def test_the_resampling_threshold_reaches_the_filters_they_concern():
+    base = accuracy.calibrated(0.25)
     assert {own.resample_below for own in base.filters.values()} == {0.25}
-    assert base.filters["rejuvenated"].rejuvenation.rest == 7
     assert base.filters["rejuvenated"].rejuvenation.ancestors_below > 0
     assert base.filters["motion"].rejuvenation.ancestors_below == 0
     assert base.filters["informed"].rejuvenation.ancestors_below == 0
