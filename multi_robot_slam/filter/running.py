@@ -50,7 +50,6 @@ class ParticleFilter:
     ----------
     start_poses : (K, 3): x, y [m], yaw [rad] in `map`.
     keeps_frames : whether frames that settle are kept whole, to smooth a whole run at its end.
-    dtype : of the landmarks.
 
     """
 
@@ -60,9 +59,8 @@ class ParticleFilter:
         settings: FilterSettings,
         rng: np.random.Generator,
         keeps_frames: bool = True,
-        dtype: type = np.float32,
     ) -> None:
-        self.state = rbpf.init(start_poses, settings, dtype, keeps_frames)
+        self.state = rbpf.init(start_poses, settings, keeps_frames=keeps_frames)
         self._settings = settings
         self._rng = rng
         self._begun: _Begun | None = None

@@ -10,7 +10,7 @@ from functools import cache, wraps
 from itertools import pairwise
 from typing import Any, ParamSpec, TypeVar
 
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -22,22 +22,23 @@ BLOCK = 256
 def one_thread(function: Callable[P, R]) -> Callable[P, R]:
     """Decorator: BLAS runs with one thread; the same bytes on any number of cores.
 
-    Nor does anything wait for a core that is busy. From the first call on, for the whole process:
-    threads that set and restored it by turns would undo each other's.
+    Nor does anything wait for a core that is busy. It stays so for the whole process: threads that
+    set and restored it by turns would undo each other's.
     """
 
     @wraps(function)
     def limited(*args: P.args, **kwargs: P.kwargs) -> R:
-        _limit_blas()
+        if any(library.num_threads != 1 for library in _blas().lib_controllers):
+            _blas().limit(limits=1)
         return function(*args, **kwargs)
 
     return limited
 
 
 @cache
-def _limit_blas() -> None:
-    """Of NumPy and SciPy, both of which are loaded when this is called first."""
-    threadpool_limits(limits=1, user_api="blas")
+def _blas() -> ThreadpoolController:
+    """The BLAS libraries of NumPy and SciPy, both of which are loaded when this is called first."""
+    return ThreadpoolController().select(user_api="blas")
 
 
 def over(kernel: Callable, size: int, grain: int, threads: int, *arguments: Any) -> None:

@@ -10,6 +10,7 @@ import worlds
 
 from multi_robot_slam.filter import informed_kernels, kernels, rbpf, resampling
 from multi_robot_slam.filter.landmarks import Landmarks
+from multi_robot_slam.filter.running import ParticleFilter
 from multi_robot_slam.filter.settings import RejuvenationSettings
 from multi_robot_slam.models.frames import RobotFrame
 from multi_robot_slam.models.symmetric import pack
@@ -17,9 +18,10 @@ from multi_robot_slam.models.symmetric import pack
 
 def run_filter(steps, settings, seed, dtype=np.float32):
     rng = np.random.default_rng(seed)
-    state = rbpf.init(worlds.START, settings, dtype)
-    infos = [rbpf.step(state, frames, settings, rng) for frames in steps]
-    return state, infos
+    particles = ParticleFilter(worlds.START, settings, rng)
+    particles.state = rbpf.init(worlds.START, settings, dtype)
+    infos = [particles.step(frames) for frames in steps]
+    return particles.state, infos
 
 
 def origins(steps, infos):
@@ -248,7 +250,7 @@ def test_boxes_leave_out_no_landmark_that_a_particle_can_reach(
         particles=30,
         proposal=proposal,
         resample_below=0.5,
-        rejuvenation=RejuvenationSettings(ancestors_below=ancestors_below, rest=3),
+        rejuvenation=RejuvenationSettings(ancestors_below=ancestors_below, delay_s=0),
     )
     for seed in range(6):
         steps = worlds.drive(seed, steps=15, alike=0.5)

@@ -27,7 +27,8 @@ ALWAYS = RejuvenationSettings(ancestors_below=1.0, delay_s=0)
 
 def run(steps, settings, seed=0, dtype=np.float64):
     rng = np.random.default_rng(seed)
-    particles = ParticleFilter(worlds.START, settings, rng, dtype=dtype)
+    particles = ParticleFilter(worlds.START, settings, rng)
+    particles.state = rbpf.init(worlds.START, settings, dtype)
     infos = [particles.step(frames) for frames in steps]
     return particles.state, infos
 

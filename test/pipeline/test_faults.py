@@ -564,7 +564,7 @@ def test_a_smoothing_that_fails_is_counted_and_told_and_the_run_goes_on(monkeypa
     def fail(*_, **__):
         raise SmoothingError("smoothing 12 poses: the information is not positive definite")
 
-    always = RejuvenationSettings(ancestors_below=1.0, rest=5)
+    always = RejuvenationSettings(ancestors_below=1.0, delay_s=2.5)
     config = replace(CONFIG, filter=replace(CONFIG.filter, rejuvenation=always))
     monkeypatch.setattr(solve, "smooth", fail)
     steps, pipeline, told = run(clean(), config)

@@ -170,7 +170,7 @@ def test_map_and_paths_are_the_best_particle():
 def test_mean_paths_are_those_of_all_particles():
     pipeline = Pipeline(config())
     run(pipeline, round_robin(events(worlds.drive(9, steps=40))))
-    state, means = pipeline._state, pipeline.mean_trajectories()
+    state, means = pipeline._particles.state, pipeline.mean_trajectories()
     weights = resampling.normalise(state.log_weights)
     whole = [list(state.history.lineage(m))[::-1] for m in range(20)]
     for index, name in enumerate(NAMES):

@@ -6,6 +6,7 @@ import numpy as np
 import worlds
 
 from multi_robot_slam.filter import rbpf
+from multi_robot_slam.filter.running import ParticleFilter
 from multi_robot_slam.filter.settings import RejuvenationSettings
 from multi_robot_slam.smoothing import odometry_scale, solve
 from multi_robot_slam.smoothing.odometry_scale import Scales
@@ -81,12 +82,13 @@ def test_without_doubt_the_factors_stay_one():
 def test_a_run_finds_the_factors():
     noise = replace(NOISE, scale_sigma=0.1)
     settings = worlds.settings(particles=50, proposal="informed", motion=noise, resample_below=0.5)
-    settings = replace(settings, rejuvenation=RejuvenationSettings(ancestors_below=0.5, window=60))
+    settings = replace(
+        settings, rejuvenation=RejuvenationSettings(ancestors_below=0.5, delay_s=0, unknowns=180)
+    )
     found = []
     for seed in range(3):
-        state = rbpf.init(worlds.START, settings, np.float64)
-        rng = np.random.default_rng(seed)
+        particles = ParticleFilter(worlds.START, settings, np.random.default_rng(seed))
         for frames in told_too_much(worlds.drive(seed, steps=60)):
-            rbpf.step(state, frames, settings, rng)
-        found.append(state.scales.factors)
+            particles.step(frames)
+        found.append(particles.state.scales.factors)
     np.testing.assert_allclose(np.mean(found, axis=(0, 1)), TRUE, atol=0.02)
