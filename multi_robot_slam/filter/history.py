@@ -171,16 +171,13 @@ class History:
         return settled + list(self.lineage(particle))[::-1]
 
     def distinct_ancestors(self) -> np.ndarray:
-        """For each frame, oldest first, from how many of its rows today's particles descend.
-
-        Of a settled frame there is one.
-        """
+        """For each frame that has not settled, oldest first, how many of its rows have descendants."""
         counts = np.zeros(len(self.records), int)
         rows = np.unique(self._leaves)
         for i in range(len(self.records) - 1, -1, -1):
             counts[i] = len(rows)
             rows = np.unique(self.records[i].parents[rows])
-        return np.concatenate([np.ones(len(self.settled), int), counts])
+        return counts
 
     def _prune(self) -> None:
         """Drop rows without descendants, from the newest record back to where nothing changes.

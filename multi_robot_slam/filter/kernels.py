@@ -561,8 +561,8 @@ def extremes(row):
 
 
 def as_integers(row):
-    """The bits of floats as signed integers of the same size; kernels only."""
-    raise NotImplementedError(f"{row.dtype} outside of a kernel")
+    """The bits of floats as signed integers of the same size."""
+    return row.view(np.int32 if row.dtype == np.float32 else np.int64)
 
 
 @overload(as_integers)
@@ -572,8 +572,9 @@ def _as_integers(row):
 
 
 def in_order(bits):
-    """Integers in the order of the floats whose `bits` they are, and back; kernels only."""
-    raise NotImplementedError(f"{bits} outside of a kernel")
+    """Integers in the order of the floats whose `bits` they are, and back."""
+    integer = type(bits)
+    return integer(bits ^ ((bits >> integer(8 * bits.itemsize - 1)) & np.iinfo(integer).max))
 
 
 @overload(in_order, inline="always")

@@ -140,7 +140,7 @@ class Pipeline:
         return estimates.lineage(self._particles.state)
 
     def distinct_ancestors(self) -> np.ndarray:
-        """For each frame so far, from how many of its particles today's particles descend."""
+        """For each frame that has not settled, how many of its particles have descendants."""
         return self._particles.state.history.distinct_ancestors()
 
     def trajectories(self) -> dict[str, Trajectory]:

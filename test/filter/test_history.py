@@ -87,7 +87,7 @@ def test_what_settles_is_the_optimum_of_the_first_past():
     ]
     assert remembered(renewed, 5) == pasts[5][30:]
     assert [stamp for stamp, _ in stamps_of(renewed.whole_lineage(5))] == list(range(40))
-    assert renewed.distinct_ancestors().tolist()[:30] == [1] * 30
+    assert len(renewed.distinct_ancestors()) == 10
 
 
 def stamps_of(lineage):
