@@ -20,17 +20,16 @@ BLOCK = 256
 
 
 def one_thread(function: Callable[P, R]) -> Callable[P, R]:
-    """Decorator: BLAS runs with one thread; the same bytes on any number of cores.
+    """Decorator: BLAS has one thread from the first call on: the same bytes on any number of cores.
 
-    Nor does anything wait for a core that is busy. Costs nothing where there is one thread anyway.
+    Nor does anything wait for a core that is busy. Never given back: another thread may be inside.
     """
 
     @wraps(function)
     def limited(*args: P.args, **kwargs: P.kwargs) -> R:
-        if all(library.num_threads == 1 for library in _blas().lib_controllers):
-            return function(*args, **kwargs)
-        with _blas().limit(limits=1):
-            return function(*args, **kwargs)
+        if any(library.num_threads != 1 for library in _blas().lib_controllers):
+            _blas().limit(limits=1)
+        return function(*args, **kwargs)
 
     return limited
 

@@ -1,7 +1,7 @@
 """Smoothing: the most likely paths of all robots and landmarks, given who saw what.
 
-Unknown are poses x_p = (x, y, yaw), N landmarks l_n, and the centres k_c = (x, y) that an older past
-has left of some of the landmarks (`prior`). Four kinds of residuals tie them together:
+Unknown are poses x_p = (x, y, yaw), N landmarks l_n, and the centres k_c = (x, y) that an older
+past has left of some of the landmarks (`prior`). Four kinds of residuals tie them together:
 
     prior        r = (anchors, centres) - m,            N(0, P)
     odometry     r = x_p (-) x_previous(p) - u_p,       N(0, diag(sigma_p^2)), as in (7)
@@ -78,7 +78,7 @@ class Smoothed:
     centres: np.ndarray
     """(a, 3) float64: x, y, and the z that is known [m]."""
     landmarks: np.ndarray
-    """(N, 9) float64: mean [m] and covariance [m^2] given poses and centres, `xx xy xz yy yz zz`."""
+    """(N, 9) float64: mean [m], covariance [m^2] given poses and centres, `xx xy xz yy yz zz`."""
     factor: Factor
     """Cholesky factor of the information of poses, centres and hubs, other landmarks out."""
     weights: np.ndarray

@@ -238,7 +238,7 @@ def seen_by_stereo(records, identities, whole, found):
 
 
 def test_tilted_covariances_are_nearly_what_they_were():
-    """Heights of centres count as known; their doubt goes to the landmarks. Absorbed in 45 parts."""
+    """Heights of centres count as known, their doubt goes to the landmarks: 45 times over."""
     state, settings = filtered(steps=60)
     records, identities, poses = remembered(state)
     known, also = Prior.exact(worlds.START), np.unique(np.concatenate(identities))
@@ -255,7 +255,7 @@ def test_tilted_covariances_are_nearly_what_they_were():
     found = smooth(posed, best.of_records[135:], smallest_step=1e-6)
     (mean, covariance), (expected, expected_covariance) = joint(posed, found), joint(whole, best)
     sigma, exact = np.sqrt(np.diag(covariance)), np.sqrt(np.diag(expected_covariance))
-    assert 0.85 < (sigma / exact).min()
+    assert (sigma / exact).min() > 0.85
     assert (sigma / exact).max() < 1.4
     assert np.mean(((mean - expected) / exact) ** 2) < 0.2
 

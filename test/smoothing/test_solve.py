@@ -197,7 +197,8 @@ def gtsam_twin(problem, poses, landmarks):
 
     for p, start in enumerate(problem.prior.poses):
         noise = gtsam.noiseModel.Isotropic.Sigma(3, SMALLEST_SIGMA)
-        add(noise, [p], lambda b, a=gtsam.Pose2(*start): moved(a, b, np.zeros(3)))
+        anchor = gtsam.Pose2(*start)
+        add(noise, [p], lambda b, a=anchor: moved(a, b, np.zeros(3)))
     for p, u in enumerate(problem.motions):
         noise = gtsam.noiseModel.Diagonal.Sigmas(problem.sigmas[p])
         ends = [problem.previous[p], len(problem.anchors) + p]

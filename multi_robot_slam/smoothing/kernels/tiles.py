@@ -9,7 +9,6 @@ import numpy as np
 
 from multi_robot_slam.models.compiled import kernel
 
-
 SMALL = 24
 """Rows of a block that is handled without BLAS."""
 
