@@ -123,4 +123,5 @@ def straight(seed=0, poses=6, landmarks=4):
 def start_of(poses):
     """A problem's prior: nothing but start poses (K, 3) that are known, headings above all."""
     active = Prior.exact(poses).active(np.arange(len(poses)), np.empty(0, int))
-    return active._replace(information=1e16 * np.eye(poses.size))
+    unit = np.eye(poses.size)
+    return active._replace(whitener=1e8 * unit, information=1e16 * unit)

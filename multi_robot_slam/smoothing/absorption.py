@@ -112,6 +112,7 @@ def absorb(problem: Problem, smoothed: Smoothed, count: int, prior: Prior) -> Pr
     )
 
 
+@one_thread
 def resting(prior: Prior, problem: Problem, smoothed: Smoothed) -> tuple[np.ndarray, np.ndarray]:
     """Ids (r,) and marginals (r, 9) of the landmarks that the prior holds and the problem does not.
 

@@ -71,5 +71,5 @@ def cost(
     """Half the sum of squared, robust, whitened residuals."""
     distances = robust(mahalanobis_sq, thresholds_of(problem, threshold))
     odometry, known = odometry_residuals(problem, views), prior_residuals(problem, views)
-    of_prior = known @ (problem.prior.information @ known)
+    of_prior = np.sum((problem.prior.whitener @ known) ** 2)
     return 0.5 * float(np.sum(odometry**2) + np.sum(distances) + of_prior)

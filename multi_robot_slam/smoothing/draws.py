@@ -110,7 +110,7 @@ def landmarks_and_log_density(
     """
     particles = paths.shape[2]
     planes: np.ndarray = np.empty((len(problem.ids), 9, particles), dtype)
-    neg2_log_density = _neg2_log_prior(problem, paths, centres)
+    neg2_log_density = _neg2_log_prior(problem, paths, centres, dtype)
     observations, sightings = problem.observations(weights), problem.sightings(weights)
     parallel.over_particles(
         weigh,
@@ -131,14 +131,16 @@ def landmarks_and_log_density(
 
 
 @one_thread
-def _neg2_log_prior(problem: Problem, paths: np.ndarray, centres: np.ndarray) -> np.ndarray:
-    """(M,) the squared distance of anchors and centres from the prior."""
+def _neg2_log_prior(
+    problem: Problem, paths: np.ndarray, centres: np.ndarray, dtype: DTypeLike
+) -> np.ndarray:
+    """(M,) float64: the squared distance of anchors and centres from the prior."""
     known = problem.prior
     anchors = paths[: len(known.robots)] - known.poses[:, :, None]
     anchors[:, 2] = wrap(anchors[:, 2])
     apart = np.concatenate([anchors, centres - known.centres[:, :2, None]], axis=None)
-    apart = apart.reshape(-1, paths.shape[2])
-    return np.einsum("im,im->m", apart, known.information @ apart)
+    whitened = known.whitener.astype(dtype) @ apart.astype(dtype).reshape(-1, paths.shape[2])
+    return np.einsum("im,im->m", whitened, whitened, dtype=float)
 
 
 def _blocks(paths: np.ndarray, centres: np.ndarray, dtype: DTypeLike) -> np.ndarray:

@@ -15,23 +15,35 @@ anchors, and the centres last, since the prior ties anchors and centres to each 
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
+from multi_robot_slam.smoothing.kernels import tiles
 from multi_robot_slam.smoothing.problem import Problem
 
-TILE = 24
+TILE = 32
 """Poses of a tile: large enough for BLAS to be fast, small enough to follow the envelope."""
+
+
+class Layout(NamedTuple):
+    """T tiles of rows, and where their elements are kept."""
+
+    edges: np.ndarray
+    """(T + 1,): tile t has the rows edges[t] .. edges[t + 1] - 1."""
+    first_tiles: np.ndarray
+    """(T,): first tile whose columns the tile's rows have."""
+    offsets: np.ndarray
+    """(T + 1,): elements before each tile, and their number."""
 
 
 @dataclass(frozen=True, eq=False)
 class Envelope:
     """Where L is not zero, in the order of elimination, and where that is kept.
 
-    Of the rows of tile t the columns begins[t] .. edges[t + 1] - 1 are kept, one row after the
+    Of the rows of tile t the columns begins[t] .. edges[t + 1] - 1 are kept, one column after the
     other, in one array for all tiles.
     """
 
@@ -43,19 +55,22 @@ class Envelope:
     """(U,): first row of each unknown in that order."""
     places: np.ndarray
     """(rows,): the rows by unknown among the rows by place."""
-    edges: np.ndarray
-    """(T + 1,): tile t has the rows edges[t] .. edges[t + 1] - 1."""
-    first_tiles: np.ndarray
-    """(T,): first tile whose columns the tile's rows have."""
-    origins: np.ndarray
-    """(rows,): row r, column c is element origins[r] + c."""
-    size: int
-    """Number of elements."""
+    layout: Layout
+
+    @property
+    def edges(self) -> np.ndarray:
+        """(T + 1,): first row of each tile, and the number of rows."""
+        return self.layout.edges
+
+    @property
+    def size(self) -> int:
+        """Number of elements."""
+        return int(self.layout.offsets[-1])
 
     @property
     def begins(self) -> np.ndarray:
         """(T,): first column of the tile's rows, an edge."""
-        return self.edges[self.first_tiles]
+        return self.edges[self.layout.first_tiles]
 
     @property
     def multiplications(self) -> int:
@@ -64,14 +79,12 @@ class Envelope:
         inside = np.clip(self.edges[None, :-1] - common, 0, None) * np.diff(self.edges)
         return int(np.diff(self.edges) @ np.tril(inside).sum(axis=1))
 
-    def tiles(self, elements: np.ndarray) -> list[np.ndarray]:
-        """Views of the rows of each tile, (rows, columns kept)."""
-        return [
-            elements[self.origins[start] + begin : self.origins[stop - 1] + stop].reshape(
-                stop - start, stop - begin
-            )
-            for start, stop, begin in zip(self.edges[:-1], self.edges[1:], self.begins, strict=True)
-        ]
+    def addresses(self) -> tuple[np.ndarray, np.ndarray]:
+        """(rows,) each: row r, column c is element origins[r] + c heights[r]."""
+        heights = np.repeat(np.diff(self.edges), np.diff(self.edges))
+        inside = np.arange(len(heights)) - np.repeat(self.edges[:-1], np.diff(self.edges))
+        first = np.repeat(self.layout.offsets[:-1], np.diff(self.edges)) + inside
+        return first - heights * np.repeat(self.begins, np.diff(self.edges)), heights
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,10 +92,8 @@ class Factor:
     """L, in the order of elimination."""
 
     envelope: Envelope
-    tiles: list[np.ndarray]
-    """The rows of each tile left of the diagonal."""
-    inverses: list[np.ndarray]
-    """Inverse of each tile on the diagonal of L."""
+    elements: np.ndarray
+    """(`Envelope.size`,): L, inverted where it has tiles on the diagonal."""
 
     @property
     def size(self) -> int:
@@ -93,24 +104,15 @@ class Factor:
         """L^-1 (rows, ...), by place, of `right`, by unknown; what it lacks at the end is zero."""
         result = np.zeros((self.size, *right.shape[1:]))
         result[self.envelope.places[: len(right)]] = right
-        for rows, left, tile, inverse in self._by_tile():
-            result[rows] = inverse @ (result[rows] - tile @ result[left])
+        tiles.solve_lower(self.elements, self.envelope.layout, result.reshape(self.size, -1))
         return result
 
     def solve_upper(self, right: np.ndarray) -> np.ndarray:
         """L^-T of `right` (rows, ...), by place, in its precision; the result is by unknown."""
-        solved = right.copy()
-        for rows, left, tile, inverse in reversed(self._by_tile()):
-            solved[rows] = inverse.T.astype(right.dtype, copy=False) @ solved[rows]
-            solved[left] -= tile.T.astype(right.dtype, copy=False) @ solved[rows]
+        solved = np.array(right, order="C")
+        elements = self.elements.astype(right.dtype, copy=False)
+        tiles.solve_upper(elements, self.envelope.layout, solved.reshape(self.size, -1))
         return solved[self.envelope.places]
-
-    def _by_tile(self) -> list[tuple[slice, slice, np.ndarray, np.ndarray]]:
-        edges, begins = self.envelope.edges, self.envelope.begins
-        return [
-            (slice(edges[t], edges[t + 1]), slice(begins[t], edges[t]), tile, inverse)
-            for t, (tile, inverse) in enumerate(zip(self.tiles, self.inverses, strict=True))
-        ]
 
 
 def factorise(envelope: Envelope, elements: np.ndarray) -> Factor:
@@ -119,22 +121,9 @@ def factorise(envelope: Envelope, elements: np.ndarray) -> Factor:
     Of the tiles on the diagonal only the lower triangle is read. Raises `LinAlgError` if the matrix
     is not positive definite.
     """
-    edges, begins = envelope.edges, envelope.begins
-    lefts: list[np.ndarray] = []
-    inverses: list[np.ndarray] = []
-    for i, tile in enumerate(envelope.tiles(elements)):
-        left = tile[:, : edges[i] - begins[i]]
-        for k in range(envelope.first_tiles[i], i):
-            common = max(begins[i], begins[k])
-            own = left[:, edges[k] - begins[i] : edges[k + 1] - begins[i]]
-            before = left[:, common - begins[i] : edges[k] - begins[i]]
-            own[:] = (own - before @ lefts[k][:, common - begins[k] :].T) @ inverses[k].T
-        diagonal = tile[:, left.shape[1] :] - left @ left.T
-        root = cholesky(diagonal, lower=True, check_finite=False)
-        unit = np.eye(len(root))
-        inverses.append(solve_triangular(root, unit, lower=True, check_finite=False))
-        lefts.append(left)
-    return Factor(envelope, lefts, inverses)
+    if not tiles.factorise(elements, envelope.layout):
+        raise np.linalg.LinAlgError("the matrix is not positive definite")
+    return Factor(envelope, elements)
 
 
 def envelope_of(problem: Problem, hubs: np.ndarray) -> Envelope:
@@ -150,26 +139,22 @@ def envelope_of(problem: Problem, hubs: np.ndarray) -> Envelope:
     place = _inverse(order, len(order))
     first = _first_places(problem, hubs, is_hub, place)
     tied = len(order) - len(anchors) - len(problem.prior.rows)
-    tiles = np.concatenate([np.arange(0, tied, TILE), np.arange(tied, len(order), 3 * TILE // 2)])
-    first_tiles = np.searchsorted(tiles, np.minimum.reduceat(first, tiles), side="right") - 1
+    starts = np.append(np.arange(0, tied, TILE), np.arange(tied, len(order), 3 * TILE // 2))
+    reached = np.minimum.reduceat(first, starts)
+    first_tiles = np.searchsorted(starts, reached, side="right") - 1
     widths = np.full(len(order), 3)
     widths[problem.poses : views] = 2
     ends = np.cumsum(widths[order])
-    edges = np.append((ends - widths[order])[tiles], ends[-1])
+    edges = np.append((ends - widths[order])[starts], ends[-1])
     rows_of = (ends - widths[order])[place]
     inside = np.arange(ends[-1]) - np.repeat(np.cumsum(widths) - widths, widths)
-    begins, heights = edges[first_tiles], np.diff(edges)
-    kept = np.repeat(edges[1:] - begins, heights)
-    element_ends = np.cumsum(kept)
+    kept = np.diff(edges) * (edges[1:] - edges[first_tiles])
     return Envelope(
         hubs=hubs,
         order=order,
         rows_of=rows_of,
         places=np.repeat(rows_of, widths) + inside,
-        edges=edges,
-        first_tiles=first_tiles,
-        origins=element_ends - kept - np.repeat(begins, heights),
-        size=int(element_ends[-1]),
+        layout=Layout(edges, first_tiles, np.append(0, np.cumsum(kept))),
     )
 
 

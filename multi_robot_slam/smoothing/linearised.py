@@ -31,7 +31,8 @@ class System(NamedTuple):
     hubs: np.ndarray
     """(N,) int64: row of each landmark's x, -1 if it is eliminated."""
     origins: np.ndarray
-    """(rows,) int64: row r, column c is element origins[r] + c."""
+    """(rows,) int64: row r, column c is element origins[r] + c heights[r]."""
+    heights: np.ndarray
     elements: np.ndarray
     """(`Envelope.size`,) float64."""
 
@@ -60,11 +61,13 @@ def information_of(
     """The elements of H in its envelope, lower triangle."""
     hubs = np.full(len(problem.ids), -1)
     hubs[envelope.hubs] = envelope.rows_of[len(views) :]
+    origins, heights = envelope.addresses()
     system = System(
         rows=envelope.rows_of[: len(views)],
         widths=np.diff(problem.columns),
         hubs=hubs,
-        origins=envelope.origins,
+        origins=origins,
+        heights=heights,
         elements=np.zeros(envelope.size),
     )
     information.add_links(_links(problem, views, weights), system)

@@ -14,8 +14,8 @@ def landmark_deviations(
 ) -> np.ndarray:
     """(A, 3, rows): Y_n = (dl_n/dx) L^-T of the landmarks `wanted` (A,), by default of all.
 
-    Y_i Y_j^T is the covariance that two landmarks share through poses and centres. A landmark's marginal
-    covariance is Y_n Y_n^T plus the one given those.
+    Y_i Y_j^T is the covariance that two landmarks share through poses and centres. A landmark's
+    marginal covariance is Y_n Y_n^T plus the one given those.
     """
     wanted = np.arange(len(problem.ids)) if wanted is None else wanted
     solved = smoothed.factor.solve_lower(landmark_jacobians(problem, smoothed, wanted).T)

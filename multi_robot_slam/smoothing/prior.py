@@ -12,7 +12,8 @@ at (0, 0, k_z), with the information Lambda.
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dpotrf, dpotri
+
+from multi_robot_slam.smoothing.lapack import whitener
 
 SMALLEST_SIGMA = 1e-5
 """Floor of standard deviations of poses and of odometry [m, rad].
@@ -37,13 +38,10 @@ class Active(NamedTuple):
     """(a, 3) float64: mean of the centres [m]."""
     landmark_information: np.ndarray
     """(a, 6) float64: Lambda of each [1/m^2]."""
+    whitener: np.ndarray
+    """(3 A + 2 a, 3 A + 2 a) float64: W, lower triangle, of anchors and centres: W P W^T = I."""
     information: np.ndarray
-    """(3 A + 2 a, 3 A + 2 a) float64: inverse of the joint covariance of anchors and centres."""
-
-    @property
-    def mean(self) -> np.ndarray:
-        """(3 A + 2 a,)"""
-        return np.append(self.poses, self.centres[:, :2])
+    """(3 A + 2 a, 3 A + 2 a) float64: W^T W, the inverse of their joint covariance P."""
 
 
 class Prior(NamedTuple):
@@ -85,7 +83,7 @@ class Prior(NamedTuple):
             self.poses[robots],
             self.centres[centres],
             self.information[centres],
-            inverse(self.covariance[np.ix_(rows, rows)]),
+            *whitener(self.covariance[np.ix_(rows, rows)]),
         )
 
     def renamed(self, ids: np.ndarray) -> "Prior":
@@ -106,14 +104,3 @@ class Prior(NamedTuple):
             self.information[centres],
             self.covariance[np.ix_(rows, rows)],
         )
-
-
-def inverse(covariance: np.ndarray) -> np.ndarray:
-    """Of a symmetric matrix; `LinAlgError` if it is not positive definite."""
-    if not len(covariance):
-        return covariance
-    root, info = dpotrf(covariance, lower=1)
-    if info:
-        raise np.linalg.LinAlgError("the prior's covariance is not positive definite")
-    lower = np.tril(dpotri(root, lower=1)[0])
-    return lower + np.tril(lower, -1).T

@@ -1,7 +1,7 @@
 """Smoothing: the most likely paths of all robots and landmarks, given who saw what.
 
-Unknown are poses x_p = (x, y, yaw), N landmarks l_n, and the centres k_c = (x, y) that an older past
-has left of some of the landmarks (`prior`). Four kinds of residuals tie them together:
+Unknown are poses x_p = (x, y, yaw), N landmarks l_n, and the centres k_c = (x, y) that an older
+past has left of some of the landmarks (`prior`). Four kinds of residuals tie them together:
 
     prior        r = (anchors, centres) - m,            N(0, P)
     odometry     r = x_p (-) x_previous(p) - u_p,       N(0, diag(sigma_p^2)), as in (7)
@@ -54,6 +54,12 @@ SMALLEST_STEP = 1e-3
 NEAR = 1.0
 """After a step shorter than this the same H serves for the next ones; they cost a fifth."""
 
+REWEIGHTED = 0.1
+"""Change of any robust weight up to which it does."""
+
+GOOD_ENOUGH = 10.0
+"""It serves to the end if all later steps together are so many times the smallest one."""
+
 
 class SmoothingError(ValueError):
     """There is no optimum, or it was not found: says why."""
@@ -72,7 +78,7 @@ class Smoothed:
     centres: np.ndarray
     """(a, 3) float64: x, y, and the z that is known [m]."""
     landmarks: np.ndarray
-    """(N, 9) float64: mean [m] and covariance [m^2] given poses and centres, `xx xy xz yy yz zz`."""
+    """(N, 9) float64: mean [m], covariance [m^2] given poses and centres, `xx xy xz yy yz zz`."""
     factor: Factor
     """Cholesky factor of the information of poses, centres and hubs, other landmarks out."""
     weights: np.ndarray
@@ -109,8 +115,9 @@ def smooth(
         D, so that a loop that `poses` leave open is closed before it could be taken for an error.
     smallest_step : the iteration ends when the step is shorter, in standard deviations of the
         solution.
-    start : where anchors of the same robots and centres of the same landmarks begin; the others
-        begin at the prior's means.
+    start : an optimum nearby. Anchors of the same robots and centres of the same landmarks begin
+        where it has them; others begin at the prior's means. The threshold need not come down if
+        every pose agrees with half of what it saw.
 
     Raises
     ------
@@ -121,7 +128,7 @@ def smooth(
     """
     with np.errstate(all="ignore"):  # what is not finite raises `SmoothingError`
         views = _first_views(problem, np.array(poses, float), start)
-        return _gauss_newton(problem, views, robust_above, smallest_step)
+        return _gauss_newton(problem, views, robust_above, smallest_step, start is not None)
 
 
 def _first_views(problem: Problem, poses: np.ndarray, start: Smoothed | None) -> np.ndarray:
@@ -137,15 +144,21 @@ def _first_views(problem: Problem, poses: np.ndarray, start: Smoothed | None) ->
 
 
 def _gauss_newton(
-    problem: Problem, views: np.ndarray, robust_above: float, smallest_step: float
+    problem: Problem,
+    views: np.ndarray,
+    robust_above: float,
+    smallest_step: float,
+    is_near: bool,
 ) -> Smoothed:
     """`smooth`; the factor of an earlier iteration serves again until it `is_outdated`."""
     envelope, records = cheapest_envelope(problem), len(problem.previous)
     weights = np.ones(len(problem.positions) + len(problem.sighted.seen))
     landmarks, mahalanobis_sq = landmarks_and_distances(problem, views, weights)
     doubtful = np.isfinite(thresholds_of(problem, 1.0))
-    threshold = max(robust_above, mahalanobis_sq[doubtful].max(initial=0))
-    is_outdated, iterations = True, 0
+    threshold = robust_above
+    if not is_near or _is_a_pose_at_odds(problem, mahalanobis_sq, robust_above):
+        threshold = max(threshold, mahalanobis_sq[doubtful].max(initial=0))
+    is_outdated, iterations, moved, of_factor = True, 0, 0.0, weights
     while True:
         if iterations == MAX_ITERATIONS:
             raise SmoothingError(f"smoothing {records} poses: no end after {iterations} steps")
@@ -153,23 +166,27 @@ def _gauss_newton(
         weights = robust_weights(mahalanobis_sq, thresholds_of(problem, threshold))
         landmarks, mahalanobis_sq = landmarks_and_distances(problem, views, weights)
         gradient = gradient_of(problem, views, landmarks, weights)
-        if is_outdated:
-            factor, before = factorised(problem, views, landmarks, weights, envelope), np.inf
+        if is_outdated or np.abs(weights - of_factor).max(initial=0) > REWEIGHTED:
+            factor = factorised(problem, views, landmarks, weights, envelope)
+            of_factor, moved, before = weights, 0.0, np.inf
         step = -factor.solve_upper(factor.solve_lower(gradient))[: len(gradient)]
         decrease = -gradient @ step
         if not np.isfinite(decrease):
             raise SmoothingError(f"smoothing {records} poses: a step is not finite")
         length = np.sqrt(max(decrease, 0.0))
+        moved += length
+        if length < smallest_step and threshold <= robust_above:
+            views = views + _by_view(problem, step)
+            landmarks, mahalanobis_sq = landmarks_and_distances(problem, views, weights)
+            break
         views, landmarks, mahalanobis_sq = _line_search(
             problem, views, _by_view(problem, step), weights, mahalanobis_sq, threshold
         )
-        if length < smallest_step and threshold <= robust_above:
-            break
-        is_outdated = threshold > robust_above or length > min(NEAR, before)
-        before = length
+        is_outdated, before = length > min(NEAR, before), length
         largest = mahalanobis_sq[doubtful].max(initial=0)
         threshold = max(robust_above, min(threshold / SHARPENING, largest))
-    if not is_outdated:
+    reweighted = np.abs(weights - of_factor).max(initial=0)
+    if moved > GOOD_ENOUGH * smallest_step or reweighted > smallest_step:
         factor = factorised(problem, views, landmarks, weights, envelope)
     final = cost(problem, views, mahalanobis_sq, robust_above)
     if not np.isfinite(final):
@@ -180,6 +197,16 @@ def _gauss_newton(
     return Smoothed(
         problem.anchors, ids, poses, centres, landmarks, factor, weights, final, iterations
     )
+
+
+def _is_a_pose_at_odds(problem: Problem, mahalanobis_sq: np.ndarray, threshold: float) -> bool:
+    """Some pose has most of its observations above the threshold: a loop may be open there."""
+    views, count = len(problem.columns) - 1, len(problem.positions)
+    everything = np.bincount(problem.seen_from, minlength=views)
+    above = problem.seen_from[mahalanobis_sq[:count] > threshold]
+    at_odds = 2 * np.bincount(above, minlength=views) > everything
+    sightings_at_odds = mahalanobis_sq[count:] > threshold
+    return bool(at_odds[: problem.poses].any() or sightings_at_odds.any())
 
 
 def _by_view(problem: Problem, step: np.ndarray) -> np.ndarray:

@@ -238,7 +238,7 @@ def seen_by_stereo(records, identities, whole, found):
 
 
 def test_tilted_covariances_are_nearly_what_they_were():
-    """Heights of centres count as known; their doubt goes to the landmarks. Absorbed in 45 parts."""
+    """Heights of centres count as known, their doubt goes to the landmarks: 45 times over."""
     state, settings = filtered(steps=60)
     records, identities, poses = remembered(state)
     known, also = Prior.exact(worlds.START), np.unique(np.concatenate(identities))

@@ -11,10 +11,16 @@ from multi_robot_slam.smoothing.kernels.landmarks import covariance_root, weight
 
 
 @kernel
+def address(system, row, column):
+    """The element of H, at most on the diagonal."""
+    return system.origins[row] + column * system.heights[row]
+
+
+@kernel
 def add_links(links, system):
     """Add J^T J (lower triangle) of the links."""
     ends, _, jacobians = links
-    rows, _, _, origins, elements = system
+    rows = system.rows
     for link in range(len(ends)):
         jacobian = jacobians[link]
         for i in range(6):
@@ -22,7 +28,8 @@ def add_links(links, system):
             for j in range(6):
                 column = rows[ends[link, j // 3]] + j % 3
                 if column <= row:
-                    elements[origins[row] + column] += np.sum(jacobian[:, i] * jacobian[:, j])
+                    value = np.sum(jacobian[:, i] * jacobian[:, j])
+                    system.elements[address(system, row, column)] += value
 
 
 @kernel
@@ -31,14 +38,14 @@ def add_prior(information, rows, system):
     for i in range(len(rows)):
         for j in range(len(rows)):
             if rows[j] <= rows[i]:
-                system.elements[system.origins[rows[i]] + rows[j]] += information[i, j]
+                system.elements[address(system, rows[i], rows[j])] += information[i, j]
 
 
 @kernel
 def add_observations(observations, views, landmarks, system):
     """Add the observations' part of H (lower triangle), landmarks that are no hubs eliminated."""
     starts, seen_from, _, information = observations
-    rows, widths, hubs, origins, elements = system
+    rows, widths, hubs = system.rows, system.widths, system.hubs
     roots = np.empty((len(seen_from), 3, 3))
     own = np.empty((3, 3))
     for n in range(len(landmarks)):
@@ -47,13 +54,7 @@ def add_observations(observations, views, landmarks, system):
             view, row, width = views[seen_from[o]], rows[seen_from[o]], widths[seen_from[o]]
             q_x, q_y = landmarks[n, 0] - view[0], landmarks[n, 1] - view[1]
             weighted_jacobian(information[o], view, q_x, q_y, own)
-            for i in range(width):
-                at = origins[row + i] + row
-                elements[at] -= own[i, 0]
-                if i >= 1:
-                    elements[at + 1] -= own[i, 1]
-                if i == 2:
-                    elements[at + 2] += own[i, 0] * q_y - own[i, 1] * q_x
+            add_view(own, q_x, q_y, row, width, system)
             if hubs[n] < 0:
                 multiply(own, root, roots[o])
             else:
@@ -62,6 +63,18 @@ def add_observations(observations, views, landmarks, system):
             add_hub(landmarks[n], hubs[n], system)
         else:
             subtract_pairs(roots, starts[n], starts[n + 1], seen_from, system)
+
+
+@kernel
+def add_view(own, q_x, q_y, row, width, system):
+    """Add J^T W J of one view, whose J^T W is `own`."""
+    for i in range(width):
+        system.elements[address(system, row + i, row)] -= own[i, 0]
+        if i >= 1:
+            system.elements[address(system, row + i, row + 1)] -= own[i, 1]
+        if i == 2:
+            turned = own[i, 0] * q_y - own[i, 1] * q_x
+            system.elements[address(system, row + i, row + 2)] += turned
 
 
 @kernel
@@ -80,22 +93,21 @@ def add_hub_and_view(own, hub, row, width, system):
     for i in range(width):
         for j in range(3):
             high, low = max(row + i, hub + j), min(row + i, hub + j)
-            system.elements[system.origins[high] + low] += own[i, j]
+            system.elements[address(system, high, low)] += own[i, j]
 
 
 @kernel
 def add_hub(landmark, row, system):
     """Add a hub's own information."""
-    _, _, _, origins, elements = system
     (xx, xy, xz, yy, yz, zz), _ = inverse(
         landmark[3], landmark[4], landmark[5], landmark[6], landmark[7], landmark[8]
     )
-    elements[origins[row] + row] += xx
-    elements[origins[row + 1] + row] += xy
-    elements[origins[row + 1] + row + 1] += yy
-    elements[origins[row + 2] + row] += xz
-    elements[origins[row + 2] + row + 1] += yz
-    elements[origins[row + 2] + row + 2] += zz
+    system.elements[address(system, row, row)] += xx
+    system.elements[address(system, row + 1, row)] += xy
+    system.elements[address(system, row + 1, row + 1)] += yy
+    system.elements[address(system, row + 2, row)] += xz
+    system.elements[address(system, row + 2, row + 1)] += yz
+    system.elements[address(system, row + 2, row + 2)] += zz
 
 
 @kernel
@@ -116,7 +128,7 @@ def subtract_pairs(roots, first, last, seen_from, system):
 @kernel
 def subtract_product(a, b, row, height, column, width, system):
     """Subtract a b^T from the block of H (height, width) at `row`, `column`."""
-    for i in range(height):
-        at = system.origins[row + i] + column
-        for j in range(width):
-            system.elements[at + j] -= a[i, 0] * b[j, 0] + a[i, 1] * b[j, 1] + a[i, 2] * b[j, 2]
+    for j in range(width):
+        at = address(system, row, column + j)
+        for i in range(height):
+            system.elements[at + i] -= a[i, 0] * b[j, 0] + a[i, 1] * b[j, 1] + a[i, 2] * b[j, 2]

@@ -1,6 +1,7 @@
 """The compiled sums over the observations of each landmark, for one path and its centres.
 
-`views` (V, 3) are poses, then centres with yaw 0. `observations` are `problem.Observations`, `sightings` `problem.PoseSightings`.
+`views` (V, 3) are poses, then centres with yaw 0. `observations` are `problem.Observations`,
+`sightings` `problem.PoseSightings`.
 """
 
 import numpy as np
@@ -108,9 +109,7 @@ def covariance_root(landmark):
 
 @kernel
 def add_landmark_jacobians(wanted, observations, views, columns, landmarks, jacobians):
-    """Add dl/dx = -Lambda^-1 sum W J of the landmarks `wanted` (A,), by poses and centres, to
-    `jacobians` (3 A, 3 (A + P) + 2 a).
-    """
+    """Add dl/dx = -Lambda^-1 sum W J, by poses and centres, of the landmarks `wanted`."""
     starts, seen_from, _, information = observations
     own = np.empty((3, 3))
     covariance = np.empty((3, 3))
