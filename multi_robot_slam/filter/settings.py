@@ -38,8 +38,9 @@ class RejuvenationSettings:
     share: Annotated[
         float,
         Interval(gt=0, le=1),
-        "smallest share of the particles with one association history that is rejuvenated",
-    ] = 0.1
+        "smallest share of the particles with one association history that is rejuvenated; each "
+        "such history is smoothed by itself",
+    ] = 0.25
 
 
 NO_REJUVENATION = RejuvenationSettings(ancestors_below=0.0)
