@@ -200,10 +200,14 @@ def real(
 @app.command()
 def bench(
     json: Annotated[Path | None, typer.Option(metavar="FILE", help="Also write the rows.")] = None,
-    quick: Annotated[bool, typer.Option(help="Fewer steps: under 40 s.")] = False,
+    quick: Annotated[bool, typer.Option(help="Fewer steps: under 90 s.")] = False,
     first_seed: Annotated[int, typer.Option(min=0, help="Seed of the measured runs.")] = 0,
 ) -> None:
-    """Measure the filter's speed and memory, beside what this machine would allow."""
+    """Measure the filter's speed and memory, beside what this machine would allow.
+
+    Takes five minutes. Processor time where nothing else is said, so that other programs disturb it
+    little; how fast a bag is run, and how long the first step takes, is time that passes.
+    """
     from multi_robot_slam.studies import bench
 
     if json is not None:
