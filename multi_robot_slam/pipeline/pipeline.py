@@ -81,6 +81,11 @@ class Pipeline:
         """Frames held back."""
         return self._guard.pending + self._reorder.pending
 
+    @property
+    def settled(self) -> int:
+        """Frames that no rejuvenation draws anew any more."""
+        return len(self._particles.state.history.settled)
+
     def handle(self, event: Event) -> list[StepRecord]:
         """Take one event; the steps that became possible are done and returned, oldest first."""
         if event.robot not in self.config.robots:

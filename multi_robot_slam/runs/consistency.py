@@ -10,15 +10,22 @@ from multi_robot_slam.runs.trajectory_errors import at, covers, wrap
 def nees(errors: np.ndarray, covariances: np.ndarray) -> float | None:
     """Average normalised estimation error squared of (n, 3) `errors`, 3 if (n, 3, 3) are right.
 
+    None if nothing of what `normalised` takes is left.
+    """
+    found = normalised(errors, covariances)
+    return float(np.mean(found)) if len(found) else None
+
+
+def normalised(errors: np.ndarray, covariances: np.ndarray) -> np.ndarray:
+    """Each normalised estimation error squared.
+
     A singular covariance claims certainty, which no error can be held to: it is left out. So is
-    the known start, and the spread of three particles or fewer. None if nothing is left.
+    the known start, and the spread of three particles or fewer.
     """
     regular = np.linalg.matrix_rank(covariances, hermitian=True) == errors.shape[1]
-    if not regular.any():
-        return None
     errors, covariances = errors[regular], covariances[regular]
     whitened = np.linalg.solve(covariances, errors[:, :, None])[:, :, 0]
-    return float(np.mean(np.sum(errors * whitened, axis=1)))
+    return np.sum(errors * whitened, axis=1)
 
 
 def published_errors(run: Run) -> dict[str, tuple[np.ndarray, np.ndarray]]:

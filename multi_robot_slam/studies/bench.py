@@ -1,9 +1,11 @@
 """`multi_robot_slam study bench`: how fast the filter is, and how fast it could be on this machine.
 
 Everything is measured in a process of its own, whose libraries are told by environment variables
-to use one thread, with the filter's `threads` at 1.
+to use one thread, with the filter's `threads` at 1; a team that is live has the default, and its
+rejuvenation a thread of its own.
 Time is processor time, which on an idle machine is the time that passes, and on a shared one leaves
-out what others run; only `first_step_s`, which also waits for files, is time that passes.
+out what others run; only `first_step_s`, which also waits for files, and how long a `run` takes are
+time that passes.
 """
 
 import json
@@ -19,7 +21,8 @@ from rich.text import Text
 
 from multi_robot_slam.studies import rivals
 from multi_robot_slam.studies.bench_limits import QUICK, Sizes
-from multi_robot_slam.studies.bench_rows import ONE_THREAD, TARGETS, Row, measure
+from multi_robot_slam.studies.bench_rows import measure
+from multi_robot_slam.studies.bench_table import ONE_THREAD, TARGETS, Row
 
 
 def run(quick: bool, seed: int = 0) -> list[Row]:

@@ -52,11 +52,19 @@ class Sizes:
     steps: int = 100
     rounds: int = 3
     """Steps of the rivals, and fresh processes."""
+    many_robots: int = 10
+    rate_hz: float = 10.0
+    """Frames of each robot in a second, where a team is live or in a bag."""
+    start_s: float = 30.0
+    live_s: float = 60.0
+    """Of a live team: what does not count, and then what does."""
+    bag_s: float = 600.0
+    """Least length of a bag; it holds whole rounds of the tour."""
     seed: int = 0
     """Of the worlds and the filters; the rivals' rounds count on from it."""
 
 
-QUICK = Sizes(steps=40, rounds=1)
+QUICK = Sizes(steps=40, rounds=1, start_s=10.0, live_s=20.0, bag_s=75.0)
 
 
 class Limits:

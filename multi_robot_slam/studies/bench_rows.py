@@ -8,39 +8,15 @@ import gc
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from multi_robot_slam.filter import kernels
 from multi_robot_slam.filter.history import PRUNE_EVERY
-from multi_robot_slam.studies import rivals
+from multi_robot_slam.studies import live_rows, rivals
 from multi_robot_slam.studies.bench_limits import BYTES, GATHER_BYTES, WORD, Limits, Sizes
+from multi_robot_slam.studies.bench_table import ONE_THREAD, TARGETS, Row, row_of
 from multi_robot_slam.studies.session import Clock, Proposal, Session, take_turns
-
-ONE_THREAD = {
-    "OMP_NUM_THREADS": "1",
-    "OPENBLAS_NUM_THREADS": "1",
-    "MKL_NUM_THREADS": "1",
-    "NUMBA_NUM_THREADS": "1",
-}
-
-TARGETS = {
-    "particle_observation_ns_motion": ("ns", "<=", 20.0),
-    "particle_observation_ns_informed": ("ns", "<=", 20.0),
-    "step_ms_m2000_k3": ("ms", "<=", 5.0),
-    "resample_share_m2000_k3": ("share", "<=", 0.2),
-    "map_growth_ratio": ("times", "<=", 1.2),
-    "growth_pause_ms": ("ms", "<=", 20.0),
-    "speedup_over_literal": ("times", ">=", 1000.0),
-    "speedup_over_textbook": ("times", ">=", 3000.0),
-    "step_ms_m100_k1": ("ms", "<=", 0.5),
-    "step_ms_m500_k1_frame": ("ms", "<=", 0.45),
-    "state_mb_m2000_n1000": ("MB", "<=", 150.0),
-    "first_step_s": ("s", "<=", 2.0),
-}
-"""Name of each row -> unit, direction, target."""
 
 BARE_IMPORT = "import numpy, numba"
 
@@ -49,20 +25,6 @@ from multi_robot_slam.config import Config
 from multi_robot_slam.pipeline import Pipeline
 Pipeline(Config()).warm_up()
 """
-
-
-@dataclass(frozen=True)
-class Row:
-    """One figure. `limit` is what the rates of this machine would allow, in the same unit."""
-
-    name: str
-    value: float
-    unit: str
-    target: float
-    limit: float
-    spread: tuple[float, float]
-    met: bool
-    note: str
 
 
 def measure(sizes: Sizes) -> list[Row]:
@@ -85,6 +47,7 @@ def measure(sizes: Sizes) -> list[Row]:
         single_robot(sizes, limits, "step_ms_m500_k1_frame", sizes.default_particles),
     ]
     rows += [first_step(sizes)]
+    rows += live_rows.measure(sizes, limits)
     return sorted(rows, key=lambda row: list(TARGETS).index(row.name))
 
 
@@ -108,7 +71,7 @@ def particle_observation(
         f"{limits.explain(proposal)}; {session.size()} landmarks, "
         f"{100 * session.right_share():.1f} % of the matches right"
     )
-    return _row(f"particle_observation_ns_{proposal}", values, limits.proposal(proposal), note)
+    return row_of(f"particle_observation_ns_{proposal}", values, limits.proposal(proposal), note)
 
 
 def _per_particle_observation(sizes: Sizes, clocks: list[Clock]) -> list[float]:
@@ -121,7 +84,7 @@ def whole_step(sizes: Sizes, limits: Limits, clocks: dict[Proposal, list[Clock]]
     values = {p: [1e3 * clock.step for clock in clocks[p]] for p in clocks}
     slower, note = _worst(values)
     count = sizes.particles * sizes.robots * sizes.observations
-    return _row("step_ms_m2000_k3", values[slower], 1e-6 * count * limits.step(slower), note)
+    return row_of("step_ms_m2000_k3", values[slower], 1e-6 * count * limits.step(slower), note)
 
 
 def resample_share(sizes: Sizes, limits: Limits, clocks: dict[Proposal, list[Clock]]) -> Row:
@@ -131,7 +94,7 @@ def resample_share(sizes: Sizes, limits: Limits, clocks: dict[Proposal, list[Clo
     rest = np.median(_per_particle_observation(sizes, clocks[larger]))
     limit = limits.gather / (limits.gather + rest)
     note += f"; limit: {GATHER_BYTES} bytes copied, the rest of the step as it is"
-    return _row("resample_share_m2000_k3", values[larger], limit, note)
+    return row_of("resample_share_m2000_k3", values[larger], limit, note)
 
 
 def map_growth(sizes: Sizes) -> Row:
@@ -146,7 +109,7 @@ def map_growth(sizes: Sizes) -> Row:
         f"{session.size()} landmarks {np.median(times):.2f} ms"
         for session, times in zip(sessions.values(), (large, small), strict=True)
     )
-    return _row("map_growth_ratio", np.divide(large, small), 1.0, note)
+    return row_of("map_growth_ratio", np.divide(large, small), 1.0, note)
 
 
 def growth_pause(sizes: Sizes, limits: Limits) -> Row:
@@ -169,7 +132,7 @@ def growth_pause(sizes: Sizes, limits: Limits) -> Row:
         "limit: another step"
     )
     over = [step - median for step in steps]
-    return _row("growth_pause_ms", over, limit, note, value=max(over))
+    return row_of("growth_pause_ms", over, limit, note, value=max(over))
 
 
 def speedup_over_literal(sizes: Sizes, limits: Limits) -> Row:
@@ -201,7 +164,7 @@ def single_robot(sizes: Sizes, limits: Limits, name: str, particles: int) -> Row
     values = {p: [1e3 * clock.step for clock in clocks[p]] for p in clocks}
     slower, note = _worst(values)
     limit = 1e-6 * particles * sizes.observations * limits.step(slower)
-    return _row(name, values[slower], limit, note)
+    return row_of(name, values[slower], limit, note)
 
 
 def state_size(sizes: Sizes, session: Session) -> Row:
@@ -213,7 +176,7 @@ def state_size(sizes: Sizes, session: Session) -> Row:
         values.append(1e-6 * bytes_of(session.state, set()))
     limit = 1e-6 * sizes.memory_map * kernels.PLANES * WORD * sizes.particles
     note = f"most of {PRUNE_EVERY} steps; {session.size()} landmarks; limit: their planes alone"
-    return _row("state_mb_m2000_n1000", values, limit, note, value=max(values))
+    return row_of("state_mb_m2000_n1000", values, limit, note, value=max(values))
 
 
 def bytes_of(thing: object, counted: set[int]) -> int:
@@ -236,7 +199,7 @@ def first_step(sizes: Sizes) -> Row:
     for _ in range(sizes.rounds):
         values.append(_time_in_fresh_process(FIRST_STEP))
         bare.append(_time_in_fresh_process(BARE_IMPORT))
-    return _row("first_step_s", values, float(np.median(bare)), f"limit: {BARE_IMPORT}")
+    return row_of("first_step_s", values, float(np.median(bare)), f"limit: {BARE_IMPORT}")
 
 
 def _time_in_fresh_process(code: str) -> float:
@@ -254,18 +217,4 @@ def _worst(values: dict[Proposal, list[float]]) -> tuple[Proposal, str]:
 
 def _speedup(name: str, result: rivals.Comparison, least_s: float, note: str) -> Row:
     limit = float(np.median(result.rival) / least_s)
-    return _row(name, np.divide(result.rival, result.fast), limit, note)
-
-
-def _row(
-    name: str,
-    values: Sequence[float] | np.ndarray,
-    limit: float,
-    note: str,
-    value: float | None = None,
-) -> Row:
-    unit, direction, target = TARGETS[name]
-    value = float(np.median(values) if value is None else value)
-    met = value <= target if direction == "<=" else value >= target
-    low, high = np.quantile(values, [0.1, 0.9])
-    return Row(name, value, unit, target, float(limit), (float(low), float(high)), met, note)
+    return row_of(name, np.divide(result.rival, result.fast), limit, note)

@@ -41,9 +41,7 @@ def poses(
     rows: dict[str, list[np.ndarray]] = {name: [] for name in config.robots}
     for step in range(every, steps[-1] + 1, every):
         first, known = bisect_left(steps, step), bisect_right(steps, step)
-        paths = yardstick(lineage[:known], truth, config)
-        if paths is None:
-            raise ValueError(f"the true landmarks of a frame up to step {step} are missing")
+        paths = _paths(lineage[:known], truth, config)
         for record, _ in lineage[first:known]:
             name = config.robots[record.robot]
             stamps[name].append(int(paths[name].stamps_ns[-1]))
@@ -52,3 +50,19 @@ def poses(
         name: Trajectory(np.array(stamps[name], np.int64), np.array(rows[name]).reshape(-1, 3))
         for name in config.robots
     }
+
+
+def last_poses(
+    lineage: Lineage, truth: Mapping[tuple[str, int], np.ndarray], config: Config
+) -> dict[str, np.ndarray]:
+    """(3,) where the same least squares over all of the `lineage` sees each robot last."""
+    return {name: path.poses[-1] for name, path in _paths(lineage, truth, config).items()}
+
+
+def _paths(
+    lineage: Lineage, truth: Mapping[tuple[str, int], np.ndarray], config: Config
+) -> dict[str, Trajectory]:
+    paths = yardstick(lineage, truth, config)
+    if paths is None:
+        raise ValueError(f"the true landmarks of a frame are missing, or all {len(lineage)} frames")
+    return paths
