@@ -172,8 +172,8 @@ class _Run:
         self._pictures.clear()
         self._began_s = now_s
         _tell(job)(
-            f"{now_s / 60:.4g} of {job.plan.seconds / 60:.4g} min: error {row.position_rmse_m:.3f} m, "
-            f"NEES {row.nees_mean:.2f}, step {row.step_ms_mean:.1f} ms, longest "
+            f"{now_s / 60:.4g} of {job.plan.seconds / 60:.4g} min: "
+            f"error {row.position_rmse_m:.3f} m, NEES {row.nees_mean:.2f}, step {row.step_ms_mean:.1f} ms, longest "
             f"{row.step_ms_max:.0f} ms, {row.memory_mb:.0f} MB"
         )
 

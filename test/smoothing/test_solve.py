@@ -310,6 +310,30 @@ def test_the_start_of_the_search_does_not_matter(drive, robust_above):
     np.testing.assert_allclose(again.poses, found.poses, atol=1e-4)
 
 
+def test_a_start_at_the_optimum_stays_there(drive):
+    problem, poses = drive
+    found = smooth(problem, poses, GATE, smallest_step=1e-4)
+    again = smooth(problem, found.of_records, GATE, smallest_step=1e-4, start=found)
+    assert again.iterations < found.iterations
+    assert again.cost == pytest.approx(found.cost, rel=1e-8)
+    np.testing.assert_allclose(again.views, found.views, atol=1e-6)
+
+
+def test_a_start_nearby_closes_a_loop_that_one_pose_leaves_open():
+    """What it saw is not taken for errors, though all of it is far off."""
+    problem = straight(seed=5, poses=20, landmarks=8)
+    expected = smooth(problem, np.zeros((20, 3)), GATE)
+    far = replace(problem, motions=problem.motions.copy(), sigmas=problem.sigmas.copy())
+    far.motions[19] += [3.0, 2.0, 0.0]
+    far.sigmas[19, :2] = 0.3
+    expected = smooth(far, expected.of_records, GATE)
+    begin = expected.of_records.copy()
+    begin[19, :2] += [3.0, 2.0]
+    found = smooth(far, begin, GATE, start=expected)
+    np.testing.assert_allclose(found.poses, expected.poses, atol=1e-3)
+    assert found.weights.min() == pytest.approx(expected.weights.min(), abs=0.01)
+
+
 def test_wrong_associations_are_resisted():
     problem = straight(seed=5, poses=20, landmarks=8)
     right = smooth(problem, np.zeros((20, 3)))
