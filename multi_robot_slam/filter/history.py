@@ -171,7 +171,7 @@ class History:
         return settled + list(self.lineage(particle))[::-1]
 
     def distinct_ancestors(self) -> np.ndarray:
-        """For each frame that has not settled, oldest first, how many of its rows have descendants."""
+        """For each frame that has not settled, oldest first: how many rows have descendants."""
         counts = np.zeros(len(self.records), int)
         rows = np.unique(self._leaves)
         for i in range(len(self.records) - 1, -1, -1):
