@@ -1,4 +1,4 @@
-"""All at once: simulated robots, fusion and recorder as processes that talk over DDS."""
+"""All at once: simulated robots, fusion and a listener as processes that talk over DDS."""
 
 import os
 import random
@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from subprocess import Popen
+from typing import NamedTuple
 
 from msg_defs import scenario_file
 from sim_world.scenario import SECTION as WORLD_SECTION
@@ -17,8 +18,8 @@ from sim_world.scenario import Scenario
 
 END_S = 2.5
 """How long the processes may take to end, all together."""
-RECORDER_S = 0.7
-"""How much of it is the recorder's, which ends last."""
+LISTENER_S = 0.7
+"""How much of it is the listener's, which ends last."""
 IDLE_S = 2.0
 IDLE_PERIODS = 4
 """Silence after which the fusion takes the exploration for over: so long, and so many frames."""
@@ -30,14 +31,40 @@ def record(folder: Path, scenario: Path, seed: int, speed: float) -> None:
     `scenario` is the file of all their settings. SIGINT, SIGTERM or a process that fails end all of
     them, the recorder last, so that its bag is whole; then the program exits.
     """
+    bag = folder / "bag"
+    recorder = _Listener("multi_robot_slam.nodes.recorder", bag, truths=1)
+    if failed := _play(recorder, scenario, seed, speed):
+        left = f"what was recorded so far is in {bag}" if bag.exists() else "nothing was recorded"
+        sys.exit(f"error: {failed}; {left}")
+
+
+def clock(arrivals: Path, scenario: Path, seed: int) -> None:
+    """The same in real time with a stopwatch instead of the recorder, which writes `arrivals`."""
+    stopwatch = _Listener("multi_robot_slam.nodes.stopwatch", arrivals, truths=0)
+    if failed := _play(stopwatch, scenario, seed, speed=1.0):
+        sys.exit(f"error: {failed}")
+
+
+class _Listener(NamedTuple):
+    """The node that hears robots and fusion."""
+
+    module: str
+    out: Path
+    """What it writes."""
+    truths: int
+    """Subscriptions of it to each topic of the truth."""
+
+
+def _play(listener: _Listener, scenario: Path, seed: int, speed: float) -> str:
+    """Have all of them play the exploration to its end; what went wrong, if anything has."""
     os.environ.setdefault("ROS_DOMAIN_ID", str(random.randint(1, 101)))
     os.environ.setdefault("RCUTILS_CONSOLE_OUTPUT_FORMAT", "[{severity}] {name}: {message}")
     print(f"ROS_DOMAIN_ID={os.environ['ROS_DOMAIN_ID']} lets other ROS tools listen", flush=True)
-    bag = folder / "bag"
     world = scenario_file.from_file(Scenario, scenario, WORLD_SECTION)
     idle_s = max(IDLE_S, IDLE_PERIODS * world.period_s / speed if speed else 0.0)
     shared = f"scenario:={scenario}"
-    pace = f"seed:={seed}", f"speed:={speed}", "subscribers:=2", "truth_subscribers:=1"
+    pace = f"seed:={seed}", f"speed:={speed}", "subscribers:=2"
+    truths = f"truth_subscribers:={listener.truths}"
     processes: list[Popen[bytes]] = []
 
     def start(module: str, *parameters: str) -> Popen[bytes]:
@@ -46,21 +73,15 @@ def record(folder: Path, scenario: Path, seed: int, speed: float) -> None:
 
     with _stops_noted() as stops:
         try:
-            recorder = start(
-                "multi_robot_slam.nodes.recorder",
-                f"out:={bag}",
-                f"robots:=[{','.join(world.names)}]",
-            )
+            names = f"robots:=[{','.join(world.names)}]"
+            hearing = start(listener.module, f"out:={listener.out}", names)
             fusion = start(
                 "multi_robot_slam.nodes.fusion", shared, f"stop_after_s:={idle_s}", "subscribers:=1"
             )
-            robots = start("sim_world.robots", shared, *pace)
-            failed = _wait(robots, [fusion, recorder], stops) or _wait(fusion, [recorder], stops)
+            robots = start("sim_world.robots", shared, *pace, truths)
+            return _wait(robots, [fusion, hearing], stops) or _wait(fusion, [hearing], stops)
         finally:
             _end(processes)
-    if failed:
-        left = f"what was recorded so far is in {bag}" if bag.exists() else "nothing was recorded"
-        sys.exit(f"error: {failed}; {left}")
 
 
 @contextmanager
@@ -104,9 +125,9 @@ def _module(process: Popen[bytes]) -> str:
 
 
 def _end(processes: list[Popen[bytes]]) -> None:
-    """End all by their process ids: SIGINT, for the recorder (the first) when the others ended."""
+    """End all by their process ids: SIGINT, for the listener (the first) when the others ended."""
     deadline_s = time.monotonic() + END_S
-    _end_by(processes[1:], deadline_s - RECORDER_S)
+    _end_by(processes[1:], deadline_s - LISTENER_S)
     _end_by(processes[:1], deadline_s)
 
 

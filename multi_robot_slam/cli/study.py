@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from msg_defs import cli
 from msg_defs.errors import InputError
-from multi_robot_slam.cli.options import FirstSeed
+from multi_robot_slam.cli.options import FirstSeed, FrameRate, Out, ScenarioName, Seed
 from multi_robot_slam.cli.terminal import console, countdown, counter, messages
 
 if TYPE_CHECKING:
@@ -220,9 +221,10 @@ def hours(
     """Whether the filter stays as fast, small and honest as it begins: round and round for hours.
 
     A team at 10 Hz drives round the building; its messages go through the filter as fast as it
-    takes them, and map and paths are made once a second, as in a live fusion. Writes a row for each
-    tenth of a run (of at most ten minutes) to hours.csv, and to hours.md, which is also printed, the
-    rows over all seeds with the figures they are to reach. NEES is 3 for an honest filter.
+    takes them, and map and paths are made once a second, as in a live fusion. Writes a row for
+    each tenth of a run (of at most ten minutes) to hours.csv, and to hours.md, which is also
+    printed, the rows over all seeds with the figures they are to reach. NEES is 3 for an honest
+    filter.
 
     One process for each seed, on all cores; so that a thread of rejuvenation finds a core free, as
     in a live fusion, use no more --processes than half of the cores: longest steps depend on it. A
@@ -240,6 +242,42 @@ def hours(
     )
     typer.echo(hours_table.markdown(rows))
     console.print(f"Everything is in {out}", markup=False)
+
+
+@app.command()
+def latency(
+    robots: Annotated[int, typer.Option(min=1, max=32, help="Number of robots.")] = 3,
+    rate: FrameRate = 10.0,
+    laps: Annotated[
+        int, typer.Option(min=1, help="Rounds of the tour; three robots take 75 s for one.")
+    ] = 1,
+    scenario: ScenarioName = "calibrated",
+    seed: Seed = 0,
+    out: Out = None,
+) -> None:
+    """How long after a cloud its pose is out: simulated robots and fusion, live, in real time.
+
+    A third process notes when each message arrives, by one monotonic clock. What is printed is the
+    time from a cloud to the pose of the step that it became, and from the odometry of a frame that
+    did not to the pose that was predicted: transport, wait for the other robots, filter, encoding.
+    Leave the machine alone meanwhile. Keeps the arrivals, arrivals.csv, and latency.md.
+    """
+    from msg_defs.ros import environment
+    from multi_robot_slam.cli import folders, processes, simulated
+    from multi_robot_slam.studies import latency as study_of_latency
+
+    cli.require_ros()
+    environment.prepare()
+    world, config = simulated.configure(scenario, robots, seed, rate, laps)
+    with folders.new_folder(out) as folder:
+        (folder / "scenario.yaml").write_text(simulated.to_yaml(world, config))
+        arrivals = folder / "arrivals.csv"
+        processes.clock(arrivals, folder / "scenario.yaml", seed)
+        found = study_of_latency.latencies(study_of_latency.read(arrivals), world.names)
+        text = study_of_latency.markdown(found)
+        (folder / "latency.md").write_text(text)
+    typer.echo(text)
+    console.print(f"Everything is in {folder}", markup=False)
 
 
 @app.command()

@@ -171,11 +171,10 @@ class _Run:
         self._rows.append(row)
         self._pictures.clear()
         self._began_s = now_s
-        _tell(job)(
-            f"{now_s / 60:.4g} of {job.plan.seconds / 60:.4g} min: "
-            f"error {row.position_rmse_m:.3f} m, NEES {row.nees_mean:.2f}, step {row.step_ms_mean:.1f} ms, longest "
-            f"{row.step_ms_max:.0f} ms, {row.memory_mb:.0f} MB"
-        )
+        errors_told = f"error {row.position_rmse_m:.3f} m, NEES {row.nees_mean:.2f}"
+        times_told = f"step {row.step_ms_mean:.1f} ms, longest {row.step_ms_max:.0f} ms"
+        how_far = f"{now_s / 60:.4g} of {job.plan.seconds / 60:.4g} min"
+        _tell(job)(f"{how_far}: {errors_told}, {times_told}, {row.memory_mb:.0f} MB")
 
     def with_optimum(self) -> list[Row]:
         """The rows, with the optimum where it is wanted."""
