@@ -153,8 +153,8 @@ class _Run:
             heading_rmse_rad=errors.heading(errors.at_steps),
             all_position_rmse_m=errors.position(errors.everywhere),
             all_heading_rmse_rad=errors.heading(errors.everywhere),
-            nees_mean=float(np.mean(errors.nees)),
-            nees_median=float(np.median(errors.nees)),
+            nees_mean=_average(np.mean, errors.nees),
+            nees_median=_average(np.median, errors.nees),
             step_ms_mean=1e3 * spent.stepping / spent.steps,
             step_ms_max=spent.longest_ms,
             cpu_s_per_s=spent.whole / (now_s - self._began_s),
@@ -305,6 +305,11 @@ class _Optimum:
             assert optimum_m is not None
             found.append((part, published_m, optimum_m))
         return found
+
+
+def _average(function: Callable[[np.ndarray], np.floating], values: np.ndarray) -> float:
+    """NaN of nothing: a single particle claims certainty throughout."""
+    return float(function(values)) if len(values) else np.nan
 
 
 def resident_mb() -> float:

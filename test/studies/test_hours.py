@@ -180,3 +180,8 @@ def test_a_run_is_the_same_twice(base, rows):
     assert [r.position_rmse_m for r in again] == pytest.approx(
         [r.position_rmse_m for r in rows], rel=1e-12
     )
+
+
+def test_nothing_to_average_is_nan_and_no_warning():
+    assert np.isnan(hours._average(np.mean, np.empty(0)))
+    assert hours._average(np.median, np.array([1.0, 2.0, 9.0])) == 2.0
