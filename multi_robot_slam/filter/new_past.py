@@ -52,11 +52,6 @@ class Drawn(NamedTuple):
     """(P, 3) of the records, as odometry told them."""
     old_scales: Scales
 
-    @property
-    def unknowns(self) -> int:
-        """Of the problem that was smoothed."""
-        return self.smoothed.factor.size
-
     def learn(self, settle: int) -> Scales:
         """The odometry's factors, where the first `settle` records leave."""
         count = len(self.past.identities)

@@ -34,7 +34,7 @@ class RejuvenationSettings:
         Ge(100),
         "most unknowns of poses and landmarks that are smoothed together; beyond that the older "
         "half of the poses is marginalised: the time of a rejuvenation grows with the cube",
-    ] = 1200
+    ] = 1800
     share: Annotated[
         float,
         Interval(gt=0, le=1),
