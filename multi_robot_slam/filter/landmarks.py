@@ -16,6 +16,9 @@ from multi_robot_slam.models import parallel
 FREE = -1
 """Id of a column that holds no landmark."""
 
+MOST_IDS = 2**31 - 1
+"""Observations that can be numbered: months of three robots, hours of a thousand a frame."""
+
 ROOM = 2**27
 """Bytes of planes to set aside at the start; what is not written takes no memory."""
 
@@ -77,7 +80,14 @@ class Landmarks:
         return landmarks
 
     def reserve(self, wanted: int) -> np.ndarray:
-        """Columns (B,) for landmarks that `wanted` observations may create; then call `commit`."""
+        """Columns (B,) for landmarks that `wanted` observations may create; then call `commit`.
+
+        `OverflowError` once there have been more observations than there are ids.
+        """
+        if self._next_id + wanted > MOST_IDS:
+            raise OverflowError(
+                f"{MOST_IDS} observations have been numbered; start the filter anew"
+            )
         free = np.flatnonzero(self.ids[: self.top] == FREE)[:wanted]
         fresh = np.arange(self.top, self.top + wanted - len(free))
         self.top += len(fresh)

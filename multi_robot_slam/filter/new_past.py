@@ -172,7 +172,8 @@ def _nearby(
     What may be seen next: whatever was seen with what each robot saw last. And what looks like a
     landmark that the window saw: it may be the same.
     """
-    last = {record.robot: own for record, own in zip(records, identities, strict=True)}
+    last = dict(old.covisible.last)
+    last |= {r.robot: own for r, own in zip(records, identities, strict=True) if len(own)}
     next_to = old.covisible.near(np.concatenate([np.empty(0, np.int64), *last.values()]))
     seen = np.unique(np.concatenate([np.empty(0, np.int64), *identities, next_to]))
     pairs = alike[np.isin(alike, seen).any(axis=1)]

@@ -34,6 +34,9 @@ from multi_robot_slam.filter.state import Optimum, State
 from multi_robot_slam.smoothing import joining
 from multi_robot_slam.smoothing.absorption import absorb
 
+FAILURES = (ArithmeticError, ValueError)
+"""Of a smoothing: `SmoothingError`, or numbers that no library could use."""
+
 MULTIPLICATIONS = 2e8
 """Of one factorisation, some 10 ms: beyond that the older half of the window settles.
 
@@ -66,13 +69,18 @@ def rejuvenate(
 ) -> tuple[State | None, Rejuvenated]:
     """The state in which the paths of all particles are drawn anew; None where none could be."""
     drawn, failures = _draw_groups(old, settings, rng)
-    result = Rejuvenated(
+    state = None
+    if drawn:
+        try:
+            state = _renewed(old, drawn, settings)
+        except FAILURES as error:
+            drawn, failures = [], [*failures, str(error)]
+    return state, Rejuvenated(
         len(drawn),
         len(old.log_weight_sum) - sum(len(group.past.members) for group in drawn),
         sum(group.effective_particles for group in drawn),
         tuple(failures),
     )
-    return (_renewed(old, drawn, settings) if drawn else None), result
 
 
 def _draw_groups(
@@ -90,7 +98,7 @@ def _draw_groups(
         if len(members) >= least:
             try:
                 drawn.append(draw(old, members, alike, settings, rng))
-            except ValueError as error:  # `SmoothingError`, or numbers no library could use
+            except FAILURES as error:
                 failures.append(str(error))
                 if members is old.groups[0]:
                     break
@@ -101,6 +109,10 @@ def _renewed(old: Snapshot, drawn: list[Drawn], settings: FilterSettings) -> Sta
     """All groups go on from their new pasts; the largest says what settles."""
     largest = drawn[0]
     settle = _how_many_settle(old, largest, settings)
+    prior = absorb(largest.problem, largest.smoothed, settle, largest.prior)
+    covisible = old.covisible.also(
+        old.history.records[:settle], largest.past.identities[:settle], largest.past.aliases
+    )
     landmarks = new_map.of_groups(old.held, [(g.past.members, g.ids, g.planes) for g in drawn])
     landmarks.bound(landmarks.alive(), settings.gate)
     state = State(
@@ -110,8 +122,8 @@ def _renewed(old: Snapshot, drawn: list[Drawn], settings: FilterSettings) -> Sta
         log_weight_sum=old.log_weight_sum.copy(),
         history=old.history.renewed([group.past for group in drawn], settle),
         scales=largest.learn(settle),
-        prior=absorb(largest.problem, largest.smoothed, settle, largest.prior),
-        covisible=old.covisible.also(largest.past.identities[:settle], largest.past.aliases),
+        prior=prior,
+        covisible=covisible.only(prior.ids),
         optimum=Optimum(largest.smoothed.of_records[settle:], None if settle else largest.smoothed),
         steps=old.steps,
     )

@@ -73,15 +73,20 @@ class ParticleFilter:
         if self._begun is not None:
             self._begun.steps.append(frames)
             if now_ns - self._begun.stamp_ns >= self._settings.rejuvenation.delay_s * 1e9:
-                info = self._take_over(self._begun, info)
-                self._begun = None
+                begun, self._begun = self._begun, None
+                info = self._take_over(begun, info)
         if self._begun is None and rejuvenation.is_due(self.state, self._settings.rejuvenation):
             self._begin(now_ns)
         return info
 
+    def close(self) -> None:
+        """Let go of the thread; what it works on is not waited for."""
+        if self._worker is not None:
+            self._worker.shutdown(wait=False, cancel_futures=True)
+
     def _begin(self, stamp_ns: int) -> None:
         own = self._rng.spawn(1)[0]
-        old = snapshot.taken(self.state, own)
+        old = snapshot.taken(self.state, self._settings, own)
         result = self._submit(old, own)
         self.state.begin_origins()
         self._begun = _Begun(stamp_ns, result, deepcopy(self._rng))
@@ -99,13 +104,13 @@ class ParticleFilter:
         if state is not None:
             try:
                 for frames in begun.steps:
-                    info = rbpf.step(state, frames, self._settings, begun.rng)
+                    repeated = rbpf.step(state, frames, self._settings, begun.rng)
             except FAILURES as error:
                 told = f"a step cannot be repeated ({error})"
                 rejuvenated = rejuvenated._replace(failures=(*rejuvenated.failures, told))
             else:
                 self.state, self._rng = state, begun.rng
-                return info._replace(rejuvenated=rejuvenated)
+                return repeated._replace(rejuvenated=rejuvenated)
         return info._replace(rejuvenated=rejuvenated._replace(groups=0))
 
 
@@ -121,4 +126,4 @@ def warm_up(settings: FilterSettings) -> None:
     state = rbpf.warm_up(settings)
     if settings.rejuvenation.ancestors_below > 0:
         rng = np.random.default_rng(0)
-        rejuvenation.rejuvenate(snapshot.taken(state, rng), settings, rng)
+        rejuvenation.rejuvenate(snapshot.taken(state, settings, rng), settings, rng)

@@ -12,6 +12,10 @@ import numpy as np
 from multi_robot_slam.models.frames import Record
 from multi_robot_slam.smoothing.aliases import Aliases
 
+Parts = tuple[tuple[np.ndarray, np.ndarray, np.ndarray], ...]
+
+MOST_PARTS = 64
+
 
 @dataclass(frozen=True, eq=False)
 class SeenLandmarks:
@@ -70,7 +74,7 @@ class Settled:
 
     keeps_frames: bool = True
     """Whether `frames` is kept, to smooth a whole run at its end: some 3 kB a frame."""
-    parts: tuple[tuple[np.ndarray, np.ndarray, np.ndarray], ...] = ()
+    parts: Parts = ()
     """Robots (n,), stamps (n,) [ns] and poses (n, 3) of the frames that left together."""
     seen: SeenLandmarks = field(default_factory=SeenLandmarks.nothing)
     frames: tuple[Record, ...] = ()
@@ -102,7 +106,7 @@ class Settled:
         if records:
             robots = np.array([record.robot for record in records], np.int32)
             stamps = np.array([record.stamp_ns for record in records], np.int64)
-            parts = (*parts, (robots, stamps, poses))
+            parts = _joined((*parts, (robots, stamps, poses)))
         seen = self.seen.renamed(aliases).also(records, identities)
         return Settled(self.keeps_frames, parts, seen, frames)
 
@@ -115,6 +119,14 @@ class Settled:
             stamps.append(of_all[own])
             poses.append(path[own])
         return np.concatenate(stamps), np.concatenate(poses)
+
+
+def _joined(parts: Parts) -> Parts:
+    """The same in few parts: a path is asked for once a second."""
+    if len(parts) < MOST_PARTS:
+        return parts
+    robots, stamps, poses = zip(*parts, strict=True)
+    return ((np.concatenate(robots), np.concatenate(stamps), np.concatenate(poses)),)
 
 
 def _one_row(record: Record, pose: np.ndarray, identities: np.ndarray) -> Record:

@@ -8,6 +8,7 @@ from multi_robot_slam.filter import new_map, resampling
 from multi_robot_slam.filter.covisible import Covisible
 from multi_robot_slam.filter.history import History
 from multi_robot_slam.filter.new_map import Held
+from multi_robot_slam.filter.settings import FilterSettings
 from multi_robot_slam.filter.state import Optimum, State
 from multi_robot_slam.smoothing.odometry_scale import Scales
 from multi_robot_slam.smoothing.prior import Prior
@@ -33,30 +34,35 @@ class Snapshot:
     """The landmarks, as the particles hold them that are not of the largest group."""
 
 
-def taken(state: State, rng: np.random.Generator) -> Snapshot:
+def taken(state: State, settings: FilterSettings, rng: np.random.Generator) -> Snapshot:
     """What a rejuvenation of the particles, resampled now, has to know."""
     weights = resampling.normalise(state.log_weights)
     ancestors = resampling.systematic(weights, rng.random())
     history = state.history.copy()
     history.resample(ancestors)
     groups = _groups(history.signatures)
-    others = np.sort(np.concatenate([np.empty(0, int), *groups[1:]]))
+    is_shared = len(groups[0]) >= settings.rejuvenation.share * len(weights)
+    others = (
+        np.sort(np.concatenate([np.empty(0, int), *groups[1:]])) if is_shared else groups[0][:0]
+    )
+    held = new_map.held(state.landmarks, others, ancestors[others])
+    lost = np.setdiff1d(state.prior.ids, held.ids)
     return Snapshot(
         state.steps,
         np.take(state.poses, ancestors, axis=2),
         state.log_weight_sum[ancestors],
         history,
         state.scales,
-        state.prior,
+        state.prior.forget(lost) if len(lost) else state.prior,
         state.covisible,
         state.optimum,
         tuple(groups),
-        new_map.held(state.landmarks, others, ancestors[others]),
+        held,
     )
 
 
 def _groups(signatures: np.ndarray) -> list[np.ndarray]:
     """The particles of each association history, the largest group first."""
-    unique, places = np.unique(signatures, return_inverse=True)
-    groups = [np.flatnonzero(places == g) for g in range(len(unique))]
+    order = np.argsort(signatures, kind="stable")
+    groups = np.split(order, np.flatnonzero(np.diff(signatures[order])) + 1)
     return sorted(groups, key=len, reverse=True)

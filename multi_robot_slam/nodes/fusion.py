@@ -112,6 +112,7 @@ class Fusion(EdgeNode):
         if messages or frames:
             self._warn(f"ended with {messages} messages and {frames} frames unfiltered")
         self._publish_diagnostics()
+        self._pipeline.close()
 
     def _begin(self) -> None:
         self._pipeline = Pipeline(self._config, self._warn, keeps_frames=False)
@@ -160,6 +161,7 @@ class Fusion(EdgeNode):
         self._publish_steps(self._pipeline.finish())
         self._publish_pictures(are_whole=True)
         beginning = self._rewind.beginning()
+        self._pipeline.close()
         self._begin()
         self._health.start_over()
         for event in beginning:

@@ -41,13 +41,13 @@ def lineage(state: State) -> list[tuple[Record, int]]:
 
 
 def trajectories(state: State, config: Config) -> dict[str, Trajectory]:
-    """The best particle's path of every robot that has moved or seen something."""
+    """The best particle's path of every robot; of settled frames the one they settled with."""
     lineage = state.history.lineage(rbpf.best_particle(state))
     return _by_robot(state, [(record, record.poses[:, row]) for record, row in lineage], config)
 
 
 def mean_trajectories(state: State, config: Config) -> dict[str, Trajectory]:
-    """The weighted mean of all particles' whole paths, likewise."""
+    """The weighted mean of all particles' paths, likewise."""
     weights = resampling.normalise(state.log_weights)
     means = [
         (record, record.poses @ np.bincount(rows, weights, len(record.parents)))

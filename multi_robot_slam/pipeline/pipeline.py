@@ -124,6 +124,10 @@ class Pipeline:
         """How many frames of each robot could be used, and how many became steps."""
         return {robot.name: robot.frames for robot in self._reorder.robots}
 
+    def close(self) -> None:
+        """Let go of the thread beside the filter; nothing can be handled after."""
+        self._particles.close()
+
     def lose(self, reason: str, text: str, count: int = 1) -> None:
         """Count and tell of what was lost before it became an event."""
         self.dropped[reason] += count
@@ -149,11 +153,14 @@ class Pipeline:
         return self._particles.state.history.distinct_ancestors()
 
     def trajectories(self) -> dict[str, Trajectory]:
-        """The best particle's path of every robot that has moved or seen something."""
+        """The path of every robot that has moved or seen something.
+
+        The best particle's; of settled frames the one they settled with.
+        """
         return estimates.trajectories(self._particles.state, self.config)
 
     def mean_trajectories(self) -> dict[str, Trajectory]:
-        """The weighted mean of all particles' whole paths, likewise."""
+        """The weighted mean of all particles' paths, likewise."""
         return estimates.mean_trajectories(self._particles.state, self.config)
 
     def particles(self, robot: str) -> np.ndarray:

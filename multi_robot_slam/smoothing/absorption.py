@@ -206,7 +206,7 @@ def _belief(leaving: Leaving) -> Belief:
     factor = factorised(problem, views, linearised, weights, envelope)
     step = -factor.solve_upper(factor.solve_lower(gradient))[: columns[-1]]
     deviations = factor.solve_upper(np.eye(factor.size))[: columns[-1]]
-    of_landmarks = (jacobians @ deviations).reshape(len(landmarks), 3, -1)
+    of_landmarks = (jacobians @ deviations).reshape(len(landmarks), 3, deviations.shape[1])
     last = {robot: p for p, robot in enumerate(problem.robots.tolist())}
     anchors = 3 * np.array([last[robot] for robot in problem.anchors], int)[:, None] + np.arange(3)
     covariances, moved = _share(problem, covariances)
@@ -219,7 +219,9 @@ def _belief(leaving: Leaving) -> Belief:
         centres=landmarks[:, :3] + (jacobians @ step).reshape(-1, 3),
         covariances=covariances,
         deviations=np.append(
-            deviations[anchors.ravel()], of_landmarks[:, :2].reshape(2 * len(landmarks), -1), axis=0
+            deviations[anchors.ravel()],
+            of_landmarks[:, :2].reshape(2 * len(landmarks), deviations.shape[1]),
+            axis=0,
         ),
         moved=moved,
     )

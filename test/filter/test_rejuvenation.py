@@ -70,7 +70,7 @@ def rejuvenated(state, settings, seed=1):
     """The state rejuvenated now, whether due or not, and what was done."""
     rng = np.random.default_rng(seed)
     settings = replace(settings, threads=1)
-    return rejuvenation.rejuvenate(snapshot.taken(state, rng), settings, rng)
+    return rejuvenation.rejuvenate(snapshot.taken(state, settings, rng), settings, rng)
 
 
 def exact_smoother(moves, seen):
@@ -124,7 +124,7 @@ def test_in_a_linear_world_the_particles_are_the_exact_smoother_s(proposal):
         camera = np.stack([-seen[t, :, 1], seen[t, :, 2], seen[t, :, 0]], axis=1)
         z = ObservationSet("", t, camera, R, descriptors)
         rbpf.step(state, [linear.frame(t, moves[t], z)], settings, rng)
-    state, info = rejuvenation.rejuvenate(snapshot.taken(state, rng), settings, rng)
+    state, info = rejuvenation.rejuvenate(snapshot.taken(state, settings, rng), settings, rng)
     assert info.alone == 0
     assert info.effective_particles > 0.95 * count
 

@@ -54,7 +54,7 @@ def at_once(steps, settings, seed):
             if rejuvenation.is_due(state, settings.rejuvenation):
                 begun_ns = now_ns
                 own = rng.spawn(1)[0]
-                old = snapshot.taken(state, own)
+                old = snapshot.taken(state, settings, own)
                 state.begin_origins()
                 state = rejuvenation.rejuvenate(old, settings, own)[0] or state
 
