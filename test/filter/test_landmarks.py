@@ -1,11 +1,12 @@
 """The lazy ancestry of landmark columns against an eager copy of everything."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from multi_robot_slam.filter import kernels
-from multi_robot_slam.filter.landmarks import FREE, Landmarks
+from multi_robot_slam.filter.landmarks import FREE, MOST_IDS, Landmarks
 from multi_robot_slam.filter.reserved import reserved
 
 PARTICLES = 6
@@ -217,3 +218,11 @@ def test_planes_handed_over_from_reserved_grow_in_place():
     lazy.reserve(100)
     assert lazy.planes.ctypes.data == planes.ctypes.data
     assert (lazy.planes[:40] == 1).all()
+
+
+def test_ids_do_not_begin_again():
+    full = Landmarks(2)
+    full._next_id = MOST_IDS - 3
+    full.reserve(3)
+    with pytest.raises(OverflowError, match="anew"):
+        full.reserve(1)

@@ -3,6 +3,7 @@
 from copy import deepcopy
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 
 import linear_world as linear
 import literal_algorithm1 as literal
@@ -11,7 +12,8 @@ import pytest
 import worlds
 
 from msg_defs.types import ObservationSet
-from multi_robot_slam.filter import rbpf, rejuvenation, resampling, snapshot
+from multi_robot_slam.filter import landmarks, new_past, rbpf, rejuvenation, resampling, snapshot
+from multi_robot_slam.filter.covisible import Covisible
 from multi_robot_slam.filter.landmarks import Landmarks
 from multi_robot_slam.filter.new_past import tempered
 from multi_robot_slam.filter.running import ParticleFilter
@@ -57,13 +59,13 @@ def in_two_groups(small, large):
     return state, settings
 
 
-def assert_maps_are_the_lineages(state):
-    """Each particle holds just the landmarks that its past names."""
+def assert_maps_are_the_lineages(state, but=None):
+    """Each particle holds just the landmarks that its past names, `but` that."""
     for m in range(len(state.log_weights)):
         held = state.landmarks.ids[state.landmarks.of_particle(m)[0]]
         named = [record.matches[:, row] for record, row in state.history.lineage(m)]
         named = np.concatenate([state.prior.ids, *named])
-        np.testing.assert_array_equal(np.sort(held), np.unique(named))
+        np.testing.assert_array_equal(np.sort(held), np.unique(named[named != but]))
 
 
 def rejuvenated(state, settings, seed=1):
@@ -342,6 +344,36 @@ def test_every_particle_holds_just_the_landmarks_of_its_past(seed, alike, gate):
         assert_maps_are_the_lineages(particles.state)
         alone += info.rejuvenated.alone if info.rejuvenated else 0
     assert alone > 0
+
+
+def test_the_prior_forgets_what_no_particle_holds():
+    settings = worlds.settings(particles=20, proposal="informed", gate=1e3)
+    state, _ = run(worlds.drive(5, steps=40), settings)
+    settings = replace(settings, rejuvenation=replace(ALWAYS, unknowns=100))
+    state, _ = rejuvenated(state, settings)
+    gone = state.prior.ids[[0, 7]]
+    alive = state.landmarks.alive()
+    state.landmarks.ids[alive[np.isin(state.landmarks.ids[alive], gone)]] = landmarks.FREE
+    for record in state.history.records:
+        record.matches = np.where(np.isin(record.matches, gone), -1, record.matches)
+    state, info = rejuvenated(state, settings)
+    assert not info.failures
+    assert not np.isin(gone, state.prior.ids).any()
+    assert not np.isin(gone, state.covisible.ids).any()
+    assert_maps_are_the_lineages(state, but=-1)
+
+
+def test_settled_frames_say_what_is_near_a_robot_that_has_none_in_the_window():
+    """Else the landmarks around a parked robot would not know of each other's errors."""
+    together = np.eye(4, dtype=bool)
+    together[0, 1] = together[1, 0] = True
+    ids = np.array([3, 5, 8, 9])
+    covisible = Covisible(ids, together, {0: np.array([3]), 1: np.array([9])})
+    old = SimpleNamespace(covisible=covisible)
+    records = [SimpleNamespace(robot=1), SimpleNamespace(robot=1)]
+    nothing = np.empty((0, 2), int)
+    near = new_past._nearby(old, records, [np.array([8]), np.empty(0, int)], nothing)
+    np.testing.assert_array_equal(near, [3, 5, 8])
 
 
 def test_best_particle_is_of_the_largest_group():

@@ -1,5 +1,6 @@
 """Rejuvenation beside the filter: as if it were done at once, however slow the worker is."""
 
+import threading
 import time
 from dataclasses import replace
 
@@ -20,11 +21,11 @@ def settings(delay_s=0.0, **changes):
     return worlds.settings(proposal="informed", **changes)
 
 
-def drive(seed=3, steps=40, alike=0.0):
+def drive(seed=3, steps=40, alike=0.0, seen=5):
     """Steps one second apart."""
     return [
         [replace(frame, stamp_ns=t * SECOND) for frame in frames]
-        for t, frames in enumerate(worlds.drive(seed, steps, alike=alike))
+        for t, frames in enumerate(worlds.drive(seed, steps, seen=seen, alike=alike))
     ]
 
 
@@ -132,21 +133,70 @@ def test_a_step_that_fails_is_not_repeated():
     assert groups
 
 
-def test_where_a_step_cannot_be_repeated_the_old_state_stays_and_it_is_told(monkeypatch):
+@pytest.mark.parametrize("repeated", [1, 2])
+def test_where_a_step_cannot_be_repeated_the_filter_stays_as_it_was_and_it_is_told(
+    repeated, monkeypatch
+):
     own, steps = settings(2.0), drive()
+    never = replace(own, rejuvenation=replace(own.rejuvenation, ancestors_below=0.0))
     particles = ParticleFilter(worlds.START, own, np.random.default_rng(1))
-    step, told = rbpf.step, []
+    twin = ParticleFilter(worlds.START, never, np.random.default_rng(1))
+    step, told, calls = rbpf.step, [], []
 
     def fails_in_the_new_state(state, frames, settings, rng):
-        if state is not particles.state:
-            raise ValueError("on purpose")
+        if all(state is not own for own in (particles.state, twin.state)):
+            calls.append(state)
+            if sum(one is state for one in calls) == repeated:
+                raise ValueError("on purpose")
         return step(state, frames, settings, rng)
 
     monkeypatch.setattr(rbpf, "step", fails_in_the_new_state)
     for frames in steps:
         before = particles.state
-        info = particles.step(frames)
+        info, same = particles.step(frames), twin.step(frames)
         assert particles.state is before
+        assert info.moments[0][0].tobytes() == same.moments[0][0].tobytes()
         told += info.rejuvenated.failures if info.rejuvenated else ()
     assert told
     assert set(told) == {"a step cannot be repeated (on purpose)"}
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("name", ["absorb", "_how_many_settle", "Optimum"])
+def test_whatever_fails_beside_the_filter_costs_that_rejuvenation_alone(name, threads, monkeypatch):
+    def fails(*arguments, **named):
+        raise np.linalg.LinAlgError("on purpose")
+
+    own = settings(1.0, threads=threads)
+    particles = ParticleFilter(worlds.START, own, np.random.default_rng(1))
+    monkeypatch.setattr(rejuvenation, name, fails)
+    told = []
+    for t, frames in enumerate(drive(), 1):
+        info = particles.step(frames)
+        assert particles.state.steps == t
+        told += info.rejuvenated.failures if info.rejuvenated else ()
+    assert len(told) > 3
+    assert set(told) == {"on purpose"}
+
+
+def test_frames_that_saw_nothing_settle():
+    own = settings(0.0)
+    particles = ParticleFilter(worlds.START, own, np.random.default_rng(1))
+    blind = drive(seed=4, steps=60, seen=0)
+    for frames in blind + drive(seed=4, steps=60):
+        info = particles.step(frames)
+        assert not (info.rejuvenated and info.rejuvenated.failures)
+    assert len(particles.state.history.settled) > 180
+    assert len(particles.state.prior.ids) > 20
+
+
+def test_after_close_no_thread_is_left():
+    own = settings(1.0, threads=2)
+    before = set(threading.enumerate())
+    particles = ParticleFilter(worlds.START, own, np.random.default_rng(1))
+    for frames in drive(steps=15):
+        particles.step(frames)
+    (worker,) = set(threading.enumerate()) - before
+    particles.close()
+    worker.join(timeout=100)
+    assert not worker.is_alive()
