@@ -41,15 +41,15 @@ def content(state):
 
 
 def at_once(steps, settings, seed):
-    """The slow twin: every rejuvenation is done where it begins. Yields the state of each step."""
+    """The slow twin: every rejuvenation is done where it begins. Yields state and info of each step."""
     rng = np.random.default_rng(seed)
     state = rbpf.init(worlds.START, settings)
     begun_ns = None
     for frames in steps:
-        rbpf.step(state, frames, settings, rng)
+        info = rbpf.step(state, frames, settings, rng)
         now_ns = frames[0].stamp_ns
         counts = begun_ns is None or now_ns - begun_ns >= settings.rejuvenation.delay_s * SECOND
-        yield state, counts
+        yield state, counts, info
         if counts and now_ns != begun_ns:
             begun_ns = None
             if rejuvenation.is_due(state, settings.rejuvenation):
@@ -65,7 +65,7 @@ def test_handed_over_it_is_what_it_would_be_done_at_once(delay_s):
     own, steps = settings(delay_s), drive()
     particles = ParticleFilter(worlds.START, own, np.random.default_rng(1))
     handed_over = 0
-    for frames, (twin, counts) in zip(steps, at_once(steps, own, 1), strict=True):
+    for frames, (twin, counts, same) in zip(steps, at_once(steps, own, 1), strict=True):
         info = particles.step(frames)
         handed_over += info.rejuvenated is not None
         assert counts == (
@@ -75,6 +75,10 @@ def test_handed_over_it_is_what_it_would_be_done_at_once(delay_s):
         )
         if counts:
             assert content(particles.state) == content(twin)
+            for moments, others in zip(info.moments, same.moments, strict=True):
+                assert b"".join(map(np.ndarray.tobytes, moments)) == b"".join(
+                    map(np.ndarray.tobytes, others)
+                )
     assert handed_over > 3
 
 
