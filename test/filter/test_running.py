@@ -41,7 +41,7 @@ def content(state):
 
 
 def at_once(steps, settings, seed):
-    """The slow twin: every rejuvenation is done where it begins. Yields state and info of each step."""
+    """The slow twin: every rejuvenation is done where it begins. State and info of each step."""
     rng = np.random.default_rng(seed)
     state = rbpf.init(worlds.START, settings)
     begun_ns = None
