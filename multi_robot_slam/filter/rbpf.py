@@ -129,13 +129,16 @@ def warm_up(settings: FilterSettings) -> State:
     """Compile every kernel or load it from the cache: steps of two robots that see two points."""
     rng = np.random.default_rng(0)
     state = init(np.zeros((2, 3)), settings)
+    for precision in (1.0, 1.0, 1.0, 1e-9):  # the last one is believed in double
+        step(state, two_robots(precision), settings, rng)
+    return state
+
+
+def two_robots(precision: float = 1.0) -> list[RobotFrame]:
+    """Frames of two robots that see two points, with covariances times `precision`."""
     seen = (
         np.array([[2.0, 0, 0], [2, 0, 1]]),
-        np.tile([1.0, 0, 0, 1, 0, 1], (2, 1)),
+        np.tile([precision, 0, 0, precision, 0, precision], (2, 1)),
         np.eye(2, DESCRIPTOR_SIZE, dtype=np.float32),
     )
-    for precision in (1.0, 1.0, 1.0, 1e-9):  # the last one is believed in double
-        own = (seen[0], seen[1] * precision, seen[2])
-        frames = [RobotFrame(robot, 0, np.array([0.1, 0, 0.1]), *own) for robot in range(2)]
-        step(state, frames, settings, rng)
-    return state
+    return [RobotFrame(robot, 0, np.array([0.1, 0, 0.1]), *seen) for robot in range(2)]

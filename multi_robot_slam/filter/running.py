@@ -10,14 +10,14 @@ is, nor on whether there is one.
 import os
 from concurrent.futures import Future, ThreadPoolExecutor
 from copy import deepcopy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from multi_robot_slam.filter import rbpf, rejuvenation, snapshot
 from multi_robot_slam.filter.rbpf import StepInfo
 from multi_robot_slam.filter.rejuvenation import Rejuvenated
-from multi_robot_slam.filter.settings import FilterSettings
+from multi_robot_slam.filter.settings import LEAST_UNKNOWNS, FilterSettings
 from multi_robot_slam.filter.snapshot import Snapshot
 from multi_robot_slam.filter.state import State
 from multi_robot_slam.models.frames import RobotFrame
@@ -122,8 +122,14 @@ def _worker(settings: FilterSettings) -> ThreadPoolExecutor | None:
 
 
 def warm_up(settings: FilterSettings) -> None:
-    """Compile every kernel or load it from the cache."""
+    """Compile every kernel or load it from the cache, those of frames that settle as well."""
     state = rbpf.warm_up(settings)
-    if settings.rejuvenation.ancestors_below > 0:
-        rng = np.random.default_rng(0)
-        rejuvenation.rejuvenate(snapshot.taken(state, settings, rng), settings, rng)
+    if settings.rejuvenation.ancestors_below == 0:
+        return
+    small = replace(settings, rejuvenation=replace(settings.rejuvenation, unknowns=LEAST_UNKNOWNS))
+    rng = np.random.default_rng(0)
+    for _ in range(2):
+        for _ in range(LEAST_UNKNOWNS // 6 + 1):  # of two robots, three each
+            rbpf.step(state, rbpf.two_robots(), small, rng)
+        old = snapshot.taken(state, small, rng)
+        state = rejuvenation.rejuvenate(old, small, rng)[0] or state

@@ -9,6 +9,9 @@ from annotated_types import Ge, Gt, Interval
 from msg_defs.types import settings
 from multi_robot_slam.models.motion import MotionSettings
 
+LEAST_UNKNOWNS = 100
+"""Fewer would not be worth a smoothing."""
+
 WORTH_A_THREAD = 2048
 """Particles that make a second thread pay."""
 
@@ -31,7 +34,7 @@ class RejuvenationSettings:
     ] = 0.25
     unknowns: Annotated[
         int,
-        Ge(100),
+        Ge(LEAST_UNKNOWNS),
         "most unknowns of poses and landmarks that are smoothed together; beyond that the older "
         "half of the poses is marginalised: the time of a rejuvenation grows with the cube",
     ] = 1800

@@ -1,5 +1,6 @@
 """Rejuvenation beside the filter: as if it were done at once, however slow the worker is."""
 
+import sys
 import threading
 import time
 from dataclasses import replace
@@ -7,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import worlds
+from numba.core.dispatcher import Dispatcher
 
 from multi_robot_slam.filter import rbpf, rejuvenation, running, snapshot
 from multi_robot_slam.filter.running import ParticleFilter
@@ -204,3 +206,19 @@ def test_after_close_no_thread_is_left():
     particles.close()
     worker.join(timeout=100)
     assert not worker.is_alive()
+
+
+def test_after_warming_up_nothing_is_compiled_while_frames_settle():
+    modules = [m for name, m in sys.modules.items() if name.startswith("multi_robot_slam.")]
+    kernels = [own for m in modules for own in vars(m).values() if isinstance(own, Dispatcher)]
+    own = settings(0.0)
+    running.warm_up(own)
+    before = [len(kernel.signatures) for kernel in kernels]
+    assert sum(before) > 20
+    particles = ParticleFilter(worlds.START, own, np.random.default_rng(1))
+    for frames in drive():
+        particles.step(frames)
+    assert len(particles.state.history.settled) > 0
+    after = [len(kernel.signatures) for kernel in kernels]
+    names = [kernel.__name__ for kernel, a, b in zip(kernels, before, after, strict=True) if a != b]
+    assert names == []
