@@ -124,6 +124,8 @@ def _worker(settings: FilterSettings) -> ThreadPoolExecutor | None:
 def warm_up(settings: FilterSettings) -> None:
     """Compile every kernel or load it from the cache, those of frames that settle as well."""
     state = rbpf.warm_up(settings)
+    weights = np.full(settings.particles, 1 / settings.particles)
+    state.landmarks.mixture(state.landmarks.alive(), weights)
     if settings.rejuvenation.ancestors_below == 0:
         return
     small = replace(settings, rejuvenation=replace(settings.rejuvenation, unknowns=LEAST_UNKNOWNS))
