@@ -35,7 +35,10 @@ from multi_robot_slam.smoothing import joining
 from multi_robot_slam.smoothing.absorption import absorb
 
 FAILURES = (ArithmeticError, ValueError)
-"""Of a smoothing: `SmoothingError`, or numbers that no library could use."""
+"""What a step or a smoothing raises where it cannot be done, with the state as before.
+
+`ValueError` includes `SmoothingError` and NumPy's `LinAlgError`.
+"""
 
 MULTIPLICATIONS = 2e8
 """Of one factorisation, some 10 ms: beyond that the older half of the window settles.

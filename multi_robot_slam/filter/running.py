@@ -16,19 +16,13 @@ import numpy as np
 
 from multi_robot_slam.filter import rbpf, rejuvenation, snapshot
 from multi_robot_slam.filter.rbpf import StepInfo
-from multi_robot_slam.filter.rejuvenation import Rejuvenated
+from multi_robot_slam.filter.rejuvenation import FAILURES, Rejuvenated
 from multi_robot_slam.filter.settings import LEAST_UNKNOWNS, FilterSettings
 from multi_robot_slam.filter.snapshot import Snapshot
 from multi_robot_slam.filter.state import State
 from multi_robot_slam.models.frames import RobotFrame
 
 Result = tuple[State | None, Rejuvenated]
-
-FAILURES = (ArithmeticError, ValueError)
-"""What `rbpf.step` raises where it cannot be done, with its state as before.
-
-`ValueError` includes NumPy's `LinAlgError`.
-"""
 
 
 @dataclass

@@ -26,7 +26,8 @@ from msg_defs.types import (
 )
 from multi_robot_slam.config import Config
 from multi_robot_slam.filter import running
-from multi_robot_slam.filter.running import FAILURES, ParticleFilter
+from multi_robot_slam.filter.rejuvenation import FAILURES
+from multi_robot_slam.filter.running import ParticleFilter
 from multi_robot_slam.models import motion
 from multi_robot_slam.models.frames import Record, RobotFrame
 from multi_robot_slam.pipeline import estimates, plausibility

@@ -66,20 +66,26 @@ def explore(base: Base, trial: Trial) -> Exploration:
     )
 
 
+def configure(
+    simulated: Exploration | Simulation, keyframe: Keyframe, filter_settings: FilterSettings
+) -> Config:
+    """The estimate's configuration for a simulated team."""
+    starts = simulated.start_poses
+    return Config(
+        robots=tuple(starts),
+        start_poses=tuple((float(x), float(y), float(yaw)) for x, y, yaw in starts.values()),
+        seed=simulated.seed,
+        mount=simulated.scenario.camera.mount,
+        keyframe=keyframe,
+        filter=filter_settings,
+    )
+
+
 def estimate(
     exploration: Exploration, filter_settings: FilterSettings
 ) -> tuple[runs.Run, Pipeline]:
     """The filter's run over the exploration, and the pipeline at its end."""
-    starts = exploration.start_poses
-    config = Config(
-        robots=tuple(starts),
-        start_poses=tuple((float(x), float(y), float(yaw)) for x, y, yaw in starts.values()),
-        seed=exploration.seed,
-        mount=exploration.scenario.camera.mount,
-        keyframe=exploration.keyframe,
-        filter=filter_settings,
-    )
-    pipeline = Pipeline(config)
+    pipeline = Pipeline(configure(exploration, exploration.keyframe, filter_settings))
     pipeline.warm_up()
     sent = (
         event

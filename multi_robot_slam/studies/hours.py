@@ -17,9 +17,9 @@ from multi_robot_slam.pipeline.pipeline import Pipeline
 from multi_robot_slam.runs.consistency import normalised
 from multi_robot_slam.runs.trajectory_errors import rmse
 from multi_robot_slam.studies import accuracy, experiments, filtering_optimum, hours_table, table
-from multi_robot_slam.studies.exploration import Base
+from multi_robot_slam.studies.exploration import Base, configure
 from multi_robot_slam.studies.hours_table import Key, Row, key_of
-from multi_robot_slam.studies.live_team import LiveFilter, Taken, configure, instants, sent, team
+from multi_robot_slam.studies.live_team import LiveFilter, Taken, instants, sent, team
 from sim_world.robot import RobotStep
 from sim_world.simulator import Simulation
 
@@ -91,7 +91,7 @@ def compute(job: Job) -> list[Row]:
     scenario = team(base.scenario, plan.robots, RATE_HZ, plan.seconds)
     simulation = Simulation(scenario, job.seed)
     own = replace(base.filters[accuracy.REJUVENATED], particles=plan.particles, threads=0)
-    config = configure(simulation, base, own)
+    config = configure(simulation, base.keyframe, own)
     pipeline = Pipeline(config, _tell(job), keeps_frames=plan.optimum_s > 0)
     pipeline.warm_up()
     run = _Run(job, pipeline)

@@ -17,7 +17,8 @@ from multi_robot_slam.pipeline.pipeline import Pipeline
 from multi_robot_slam.studies import accuracy
 from multi_robot_slam.studies.bench_limits import Limits, Sizes
 from multi_robot_slam.studies.bench_table import ONE_THREAD, Row, row_of
-from multi_robot_slam.studies.live_team import LiveFilter, Spent, configure, instants, sent, team
+from multi_robot_slam.studies.exploration import configure
+from multi_robot_slam.studies.live_team import LiveFilter, Spent, instants, sent, team
 from sim_world.messages import Message
 from sim_world.simulator import Simulation
 
@@ -51,7 +52,7 @@ def spent(sizes: Sizes, robots: int, is_rejuvenated: bool = True) -> list[Spent]
         settings = replace(settings, rejuvenation=NO_REJUVENATION)
     scenario = team(base.scenario, robots, sizes.rate_hz, whole_s)
     simulation = Simulation(scenario, sizes.seed)
-    pipeline = Pipeline(configure(simulation, base, settings), keeps_frames=False)
+    pipeline = Pipeline(configure(simulation, base.keyframe, settings), keeps_frames=False)
     pipeline.warm_up()
     seconds = _by_second(simulation, whole_s, sizes.rate_hz)
     live, found = LiveFilter(pipeline), []

@@ -13,12 +13,9 @@ import numpy as np
 
 from msg_defs import topics, wire
 from msg_defs.types import Estimate, StepRecord
-from multi_robot_slam.config import Config
-from multi_robot_slam.filter.settings import FilterSettings
 from multi_robot_slam.pipeline.decoding import inputs
 from multi_robot_slam.pipeline.pipeline import Pipeline
 from multi_robot_slam.pipeline.thinning import thinned
-from multi_robot_slam.studies.exploration import Base
 from sim_world import messages
 from sim_world.messages import Message
 from sim_world.robot import RobotStep
@@ -35,19 +32,6 @@ def team(scenario: Scenario, robots: int, rate_hz: float, seconds: float) -> Sce
     laps = int(np.ceil(seconds * rate_hz * robots / movements))
     return replace(
         scenario, robots=robots, period_s=1 / rate_hz, movements=movements, laps=max(laps, 1)
-    )
-
-
-def configure(simulation: Simulation, base: Base, filter_settings: FilterSettings) -> Config:
-    """What the fusion of a simulated team knows before the first message."""
-    starts = simulation.start_poses
-    return Config(
-        robots=tuple(starts),
-        start_poses=tuple((float(x), float(y), float(yaw)) for x, y, yaw in starts.values()),
-        seed=simulation.seed,
-        mount=simulation.scenario.camera.mount,
-        keyframe=base.keyframe,
-        filter=filter_settings,
     )
 
 

@@ -130,7 +130,7 @@ def test_a_step_that_fails_is_not_repeated():
     for frames in steps:
         if particles._begun is not None and not failed:
             bad = replace(frames[0], motion=np.full(3, np.nan))
-            with pytest.raises(running.FAILURES):
+            with pytest.raises(rejuvenation.FAILURES):
                 particles.step([bad])
             failed += 1
         info = particles.step(frames)

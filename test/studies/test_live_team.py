@@ -7,7 +7,7 @@ import pytest
 
 from msg_defs import topics, wire
 from multi_robot_slam.pipeline.pipeline import Pipeline
-from multi_robot_slam.studies import accuracy, live_rows, live_team
+from multi_robot_slam.studies import accuracy, exploration, live_rows, live_team
 from multi_robot_slam.studies.live_team import LiveFilter, Spent
 from sim_world.simulator import Simulation
 
@@ -23,7 +23,9 @@ def simulated(base, robots=2, seconds=4.0, rate_hz=10.0):
 
 def live(base, simulation, **settings):
     few = replace(base.filters[accuracy.REJUVENATED], particles=40, **settings)
-    return LiveFilter(Pipeline(live_team.configure(simulation, base, few), keeps_frames=False))
+    return LiveFilter(
+        Pipeline(exploration.configure(simulation, base.keyframe, few), keeps_frames=False)
+    )
 
 
 @pytest.mark.parametrize(("robots", "seconds"), [(1, 10.0), (3, 200.0), (10, 200.0)])
