@@ -50,6 +50,20 @@ def sightings(robot: str) -> Topic:
     return Topic(f"{robot}/sightings", "sensor_msgs/msg/PointCloud2")
 
 
+def image(robot: str, side: str, name: str = "image_rect") -> Topic:
+    """Pictures of the `side` (left, right) camera; stereo_image_proc's names."""
+    return Topic(f"{robot}/{side}/{name}", "sensor_msgs/msg/Image")
+
+
+def compressed_image(robot: str, side: str, name: str = "image_rect") -> Topic:
+    """The same, compressed, under image_transport's name."""
+    return Topic(f"{robot}/{side}/{name}/compressed", "sensor_msgs/msg/CompressedImage")
+
+
+def camera_info(robot: str, side: str) -> Topic:
+    return Topic(f"{robot}/{side}/camera_info", "sensor_msgs/msg/CameraInfo")
+
+
 def observation_truth(robot: str) -> Topic:
     return Topic(f"{robot}/stereo/truth", "sensor_msgs/msg/PointCloud2")
 

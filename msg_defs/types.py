@@ -148,6 +148,38 @@ class ObservationTruth:
     """(B,) uint32: row in the true `LandmarkMap`."""
 
 
+@dataclass(frozen=True, eq=False)
+class Image:
+    """One picture of one camera, as it was sent."""
+
+    stamp_ns: int
+    frame: str
+    """The message's frame_id."""
+    encoding: str
+    """As in sensor_msgs/image_encodings: mono8, bgr8, ...; of a compressed one what it became."""
+    pixels: np.ndarray
+    """(H, W) or (H, W, C), uint8 or uint16."""
+
+
+@dataclass(frozen=True, eq=False)
+class CameraInfo:
+    """One camera's calibration, as sensor_msgs/CameraInfo has it."""
+
+    stamp_ns: int
+    frame: str
+    width_px: int
+    height_px: int
+    distortion_model: str
+    distortion: np.ndarray
+    """(n,) float64: D."""
+    intrinsics: np.ndarray
+    """(3, 3) float64: K, of the unrectified image [px]."""
+    rotation: np.ndarray
+    """(3, 3) float64: R, from the camera to the rectified one."""
+    projection: np.ndarray
+    """(3, 4) float64: P, of the rectified image [px]; on the right P[0, 3] = -f baseline."""
+
+
 Frame = ObservationSet | EncodedObservations
 """What a robot sees of the world at one instant."""
 

@@ -10,6 +10,7 @@ from msg_defs import topics
 from msg_defs.errors import InputError
 from msg_defs.types import CameraMount, settings
 from multi_robot_slam.filter.settings import FilterSettings
+from multi_robot_slam.front_end.settings import CameraSettings
 
 SECTION = "multi_robot_slam"
 MOST_ROBOTS = 32
@@ -126,6 +127,7 @@ class Config:
         tuple[tuple[float, float, float, float, float, float], ...],
         "instead of `mount`, for each robot: forward, left, up, roll, pitch, yaw [m, rad]",
     ] = ()
+    camera: CameraSettings = field(default_factory=CameraSettings)
     plausible: Plausible = field(default_factory=Plausible)
     keyframe: Keyframe = field(default_factory=Keyframe)
     filter: FilterSettings = field(default_factory=FilterSettings)

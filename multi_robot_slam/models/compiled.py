@@ -15,7 +15,7 @@ from typing import Any
 
 import numba
 
-ROOMS = ("models", "smoothing", "filter")
+ROOMS = ("models", "smoothing", "filter", "front_end")
 """Packages beside and below this one whose functions are compiled."""
 
 PREFIX = "kernels-"

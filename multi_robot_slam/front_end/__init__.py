@@ -1,0 +1,1 @@
+"""Images in, observations out: pure functions on arrays, without ROS."""

@@ -1,0 +1,62 @@
+"""Settings of the cameras: where images come from, and what is looked for in them."""
+
+from dataclasses import field
+from typing import Annotated, Literal
+
+from annotated_types import Ge, Gt, Interval
+
+from msg_defs.types import settings
+
+
+@settings
+class FeatureSettings:
+    """Which points of a stereo pair become observations, and how exact they are."""
+
+    features: Annotated[int, Ge(1), "most SIFT keypoints of the left image, strongest first"] = 1000
+    contrast_threshold: Annotated[float, Gt(0), "SIFT's least contrast of a keypoint"] = 0.02
+    scale: Annotated[
+        float, Interval(gt=0, le=1), "size of the images that are searched; 0.5 takes a third"
+    ] = 1.0
+    observations: Annotated[
+        int, Interval(ge=1, le=1000), "most observations of a pair, spread over the image"
+    ] = 100
+    nearest_m: Annotated[float, Gt(0), "nearest point [m]: the largest disparity searched"] = 0.4
+    farthest_m: Annotated[float, Gt(0), "farthest point [m]"] = 40.0
+    correlation: Annotated[
+        float, Interval(ge=0, lt=1), "least normalised cross-correlation of left and right"
+    ] = 0.8
+    sigma_px: Annotated[float, Gt(0), "standard deviation of row and column [px]"] = 0.3
+    sigma_disparity_px: Annotated[float, Gt(0), "standard deviation of the disparity [px]"] = 0.2
+
+
+@settings
+class TagSettings:
+    """AprilTag and ArUco markers in the same images; without a family none are looked for."""
+
+    family: Annotated[str, "family of the tags: 36h11, 4x4_50, ...; empty: none"] = ""
+    size_m: Annotated[float, Gt(0), "side of a tag's black square [m]"] = 0.16
+    on_robots: Annotated[
+        tuple[tuple[int, int, float, float, float], ...],
+        "tags that robots carry: number, robot (its place in `robots`, from 0), and where the "
+        "tag's centre is on its base_link: forward, left, up [m]",
+    ] = ()
+
+
+@settings
+class CameraSettings:
+    """A robot's stereo camera as the node `camera`, `landmarks` and `run` read it."""
+
+    image: Annotated[str, "last part of the topics <robot>/left/..., <robot>/right/..."] = (
+        "image_rect"
+    )
+    image_transport: Annotated[Literal["raw", "compressed"], "type of the image messages"] = "raw"
+    rectify: Annotated[
+        Literal["auto", "yes", "no"], "auto: unless the topic's name says that it is done (rect)"
+    ] = "auto"
+    baseline_m: Annotated[
+        float, Ge(0), "distance of the two cameras [m], where camera_info does not tell; 0: it does"
+    ] = 0.0
+    approx_sync: Annotated[bool, "whether left and right may differ in their stamps"] = False
+    approx_sync_max_interval_s: Annotated[float, Gt(0), "by so much at most [s]"] = 0.01
+    features: FeatureSettings = field(default_factory=FeatureSettings)
+    tags: TagSettings = field(default_factory=TagSettings)
