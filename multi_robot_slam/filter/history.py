@@ -87,6 +87,7 @@ class History:
             new_ids=new_ids,
             parents=self._leaves,
             sightings=frame.sightings,
+            ranging=frame.ranging,
         )
         self.records.append(record)
         self._leaves = np.arange(len(self._leaves), dtype=np.int32)

@@ -7,6 +7,7 @@ import numpy as np
 from multi_robot_slam.filter import association, kernels
 from multi_robot_slam.filter.association import Candidates
 from multi_robot_slam.filter.kernels import Matches, Observed
+from multi_robot_slam.filter.known_distance import at_known
 from multi_robot_slam.filter.landmarks import Landmarks
 from multi_robot_slam.filter.settings import FilterSettings, threads
 from multi_robot_slam.filter.sightings import Sighted
@@ -42,6 +43,8 @@ class FrameInfo(NamedTuple):
 class Matching(NamedTuple):
     """The arrays the kernels read and write for one frame, in the dtype of the planes."""
 
+    frame: RobotFrame
+    """As given, with the covariances that count."""
     observed: Observed
     candidates: Candidates
     touched: np.ndarray
@@ -71,21 +74,22 @@ def begin(
     )
     touched = association.landmarks_among(candidates.columns)
     landmarks.bring_up_to_date(touched, threads(settings))
+    if settings.noise_at == "landmark":
+        frame = at_known(frame, landmarks, candidates, touched, state.poses[frame.robot])
     shape = (count, settings.particles)
     matches = Matches(np.empty(shape, np.int32), np.empty(shape, dtype), np.empty(shape, dtype))
-    observed = Observed(v.astype(dtype), noise.astype(dtype))
-    return Matching(observed, candidates, touched, landmarks.reserve(count), matches)
+    observed = Observed(v.astype(dtype), frame.covariances.astype(dtype))
+    return Matching(frame, observed, candidates, touched, landmarks.reserve(count), matches)
 
 
 def finish(
     landmarks: Landmarks,
-    frame: RobotFrame,
     settings: FilterSettings,
     matching: Matching,
     sighted: Sighted,
 ) -> FrameInfo:
     """Keep the landmarks that were created, and weigh (16)."""
-    _, candidates, touched, new_columns, matches = matching
+    frame, _, candidates, touched, new_columns, matches = matching
     new_ids = landmarks.ids[new_columns]
     ids, candidate_ids = kernels.name(
         matches.columns, candidates.columns, new_columns, landmarks.ids

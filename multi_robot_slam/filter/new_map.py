@@ -18,6 +18,8 @@ class Held:
     """(N,) int32, ascending."""
     descriptors: np.ndarray
     """(N, 128) float32."""
+    places: np.ndarray
+    """(N, 3) float64: where one particle of the largest group has each [m]; FAR: it has not."""
     particles: int
     """M."""
     dtype: np.dtype
@@ -30,13 +32,17 @@ class Held:
     """(N, 9, n): their means and covariances, as in `Landmarks`."""
 
 
-def held(landmarks: Landmarks, others: np.ndarray, ancestors: np.ndarray) -> Held:
-    """A copy of what the particles `ancestors` (n,) hold; they will be the particles `others`."""
+def held(landmarks: Landmarks, others: np.ndarray, ancestors: np.ndarray, particle: int) -> Held:
+    """A copy of what the particles `ancestors` (n,) hold; they will be the particles `others`.
+
+    `particle`: the one whose landmarks' places are told.
+    """
     columns = landmarks.alive()
     columns = columns[np.argsort(landmarks.ids[columns])]
     return Held(
         landmarks.ids[columns],
         landmarks.descriptors[columns],
+        landmarks.planes_of(columns, np.array([particle]))[:, :3, 0].astype(float),
         landmarks.planes.shape[2],
         landmarks.planes.dtype,
         landmarks.next_id,

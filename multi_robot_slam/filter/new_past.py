@@ -16,6 +16,7 @@ from multi_robot_slam.filter.snapshot import Snapshot
 from multi_robot_slam.smoothing import draws, joining, solve
 from multi_robot_slam.smoothing.absorption import resting
 from multi_robot_slam.smoothing.aliases import Aliases
+from multi_robot_slam.smoothing.known_distance import covariances_of
 from multi_robot_slam.smoothing.odometry_scale import Scales, learn
 from multi_robot_slam.smoothing.prior import Prior
 from multi_robot_slam.smoothing.problem import Problem, problem_of
@@ -139,6 +140,10 @@ def _smooth(
 ) -> tuple[Problem, Smoothed, Aliases]:
     """Smooth, and join landmarks that turn out to be one."""
     also = _nearby(old, records, identities, alike)
+    covariances = None
+    if settings.noise_at == "landmark":
+        ids, places = old.held.ids, old.held.places
+        covariances = covariances_of(records, identities, poses, ids, places)
     start = old.optimum.smoothed if old.optimum else None
 
     def smoothed_with(aliases: Aliases, poses: np.ndarray) -> tuple[Problem, Smoothed]:
@@ -150,6 +155,7 @@ def _smooth(
             settings.motion,
             old.scales.factors,
             also=aliases.of(also),
+            covariances=covariances,
         )
         start = solve.smooth(problem, poses, settings.robust_above, NEAR_ENOUGH, start)
         return problem, start

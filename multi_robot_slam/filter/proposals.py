@@ -65,7 +65,7 @@ def _update_as_drawn(
         settings.exclusive,
         found.matches,
     )
-    return matching.finish(state.landmarks, frame, settings, found, sighted)
+    return matching.finish(state.landmarks, settings, found, sighted)
 
 
 def propose_informed(
@@ -102,7 +102,7 @@ def _match_and_draw(
     poses = state.poses[frame.robot]
     variances = np.array([(prior[0] + prior[3]).max(), prior[5].max()])
     found = matching.begin(state, frame, settings, MANY_SIGMA * np.sqrt(variances))
-    observed, gate = found.observed, settings.gate
+    frame, observed, gate = found.frame, found.observed, settings.gate
     believed = observed
     if informed_kernels.needs_double(variances, frame.positions, frame.covariances):
         believed, prior = Observed(frame.positions, frame.covariances), prior.astype(np.float64)
@@ -135,7 +135,7 @@ def _match_and_draw(
         observed.v.dtype.type(gate),
         found.matches,
     )
-    return matching.finish(state.landmarks, frame, settings, found, sighted)
+    return matching.finish(state.landmarks, settings, found, sighted)
 
 
 def _see_all(

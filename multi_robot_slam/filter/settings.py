@@ -77,6 +77,11 @@ class FilterSettings:
     exclusive: Annotated[
         bool, "whether two observations of one frame may not be the same landmark"
     ] = True
+    noise_at: Annotated[
+        Literal["measurement", "landmark"],
+        "where the covariance of a stereo observation is taken: at the measured point, as it "
+        "comes, or at the landmark that it is of, which does not depend on its own error",
+    ] = "measurement"
     threads: Annotated[
         int, Interval(ge=0, le=256), "threads of the filter; 0 chooses; no effect on results"
     ] = 0

@@ -45,7 +45,7 @@ def taken(state: State, settings: FilterSettings, rng: np.random.Generator) -> S
     others = (
         np.sort(np.concatenate([np.empty(0, int), *groups[1:]])) if is_shared else groups[0][:0]
     )
-    held = new_map.held(state.landmarks, others, ancestors[others])
+    held = new_map.held(state.landmarks, others, ancestors[others], ancestors[groups[0][0]])
     lost = np.setdiff1d(state.prior.ids, held.ids)
     return Snapshot(
         state.steps,

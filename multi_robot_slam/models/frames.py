@@ -7,6 +7,7 @@ import numpy as np
 
 from msg_defs.types import CameraMount, ObservationSet, Sightings
 from multi_robot_slam.models import stereo
+from multi_robot_slam.models.ranging import Ranging
 
 
 class BodySightings(NamedTuple):
@@ -45,6 +46,8 @@ class RobotFrame:
     """How long the motion took [s]."""
     sightings: BodySightings = NOBODY
     """Robots it sees, each of which has a frame at the same instant."""
+    ranging: Ranging | None = None
+    """None: the covariances are what they are, at whatever distance a point truly is."""
 
     @classmethod
     def from_camera(
@@ -65,6 +68,7 @@ class RobotFrame:
             observations.descriptors,
             seconds,
             in_body(sightings, mount),
+            Ranging.of(observations.positions, observations.covariances, mount),
         )
 
 
@@ -101,6 +105,7 @@ class Record:
     seconds: float = 0.0
     """How long the motion took [s]."""
     sightings: BodySightings = NOBODY
+    ranging: Ranging | None = None
 
     def with_rows(self, poses: np.ndarray, matches: np.ndarray, parents: np.ndarray) -> "Record":
         """The same frame with other rows: `poses` (3, R), `matches` (B, R), `parents` (R,)."""

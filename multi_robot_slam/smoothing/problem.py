@@ -122,6 +122,7 @@ def problem_of(
     noise: MotionSettings,
     factors: np.ndarray | None = None,
     also: Sequence[int] | np.ndarray = (),
+    covariances: np.ndarray | None = None,
 ) -> Problem:
     """The problem that a history poses.
 
@@ -134,6 +135,7 @@ def problem_of(
         the problem holds those in `identities`, those in `also`, and those with several centres.
     factors : (K, 2) of the odometry's distances and turns; default: none.
     also : ids of landmarks that the problem shall hold although no record names them.
+    covariances : (O, 6) of all observations in the records' order [m^2], instead of the records'.
 
     """
     robots = np.array([record.robot for record in records], np.int64)
@@ -150,7 +152,9 @@ def problem_of(
     seen_from = np.append(np.repeat(len(anchors) + np.arange(len(records)), counts), views)
     seen = np.append(named, active.ids)
     positions = np.concatenate([np.empty((0, 3)), *(record.positions for record in records)])
-    covariances = np.concatenate([np.empty((0, 6)), *(record.covariances for record in records)])
+    if covariances is None:
+        own = [record.covariances for record in records]
+        covariances = np.concatenate([np.empty((0, 6)), *own])
     order = np.argsort(seen, kind="stable")
     order = order[np.searchsorted(seen[order], 0) :]
     ids, first = np.unique(seen[order], return_index=True)
