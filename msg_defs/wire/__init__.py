@@ -25,6 +25,15 @@ from msg_defs.wire.estimates import (
     encode_estimate,
     encode_mean,
 )
+from msg_defs.wire.images import (
+    ENCODINGS,
+    decode_camera_info,
+    decode_compressed,
+    decode_image,
+    encode_camera_info,
+    encode_compressed,
+    encode_image,
+)
 from msg_defs.wire.messages import message_class, message_schema, peek_stamp
 from msg_defs.wire.pictures import decode_walls, encode_markers, encode_walls
 from msg_defs.wire.poses import (
@@ -53,15 +62,19 @@ from msg_defs.wire.records import (
 from msg_defs.wire.replayed import encode_clock, renamed
 
 __all__ = [
+    "ENCODINGS",
     "ERROR",
     "OK",
     "STALE",
     "WARN",
     "Estimates",
     "Status",
+    "decode_camera_info",
+    "decode_compressed",
     "decode_diagnostics",
     "decode_estimate",
     "decode_estimates",
+    "decode_image",
     "decode_map",
     "decode_observation_truth",
     "decode_observations",
@@ -73,9 +86,12 @@ __all__ = [
     "decode_step",
     "decode_text",
     "decode_walls",
+    "encode_camera_info",
     "encode_clock",
+    "encode_compressed",
     "encode_diagnostics",
     "encode_estimate",
+    "encode_image",
     "encode_map",
     "encode_markers",
     "encode_mean",
