@@ -176,6 +176,11 @@ class Landmarks:
         kernels.mix(self.planes, columns, rows, weights, result)
         return result
 
+    def forget(self, ids: np.ndarray) -> None:
+        """Free the columns of those of the landmarks `ids` that there are."""
+        columns = self.alive()
+        self._release(columns[np.isin(self.ids[columns], ids)])
+
     def _release_unowned(self, columns: np.ndarray) -> None:
         owners = kernels.count_owners(self.planes, columns, self._rows, self._generations[columns])
         self._partial[columns] = owners < self.planes.shape[2]

@@ -27,6 +27,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multi_robot_slam.filter import new_map
+from multi_robot_slam.filter.forgetting import forgotten
 from multi_robot_slam.filter.new_past import Drawn, draw
 from multi_robot_slam.filter.settings import FilterSettings, RejuvenationSettings
 from multi_robot_slam.filter.snapshot import Snapshot
@@ -112,11 +113,14 @@ def _renewed(old: Snapshot, drawn: list[Drawn], settings: FilterSettings) -> Sta
     """All groups go on from their new pasts; the largest says what settles."""
     largest = drawn[0]
     settle = _how_many_settle(old, largest, settings)
-    prior = absorb(largest.problem, largest.smoothed, settle, largest.prior)
+    no_centre = _without_centre(old, largest, settle, settings)
+    prior = absorb(largest.problem, largest.smoothed, settle, largest.prior, no_centre)
+    lost = _unseen_since(no_centre, old, largest, settle)
     covisible = old.covisible.also(
         old.history.records[:settle], largest.past.identities[:settle], largest.past.aliases
     )
     landmarks = new_map.of_groups(old.held, [(g.past.members, g.ids, g.planes) for g in drawn])
+    landmarks.forget(lost)
     landmarks.bound(landmarks.alive(), settings.gate)
     state = State(
         poses=old.poses.copy(),
@@ -130,6 +134,7 @@ def _renewed(old: Snapshot, drawn: list[Drawn], settings: FilterSettings) -> Sta
         optimum=Optimum(largest.smoothed.of_records[settle:], None if settle else largest.smoothed),
         steps=old.steps,
     )
+    state.history.settled = state.history.settled.forget(lost)
     for group in old.groups:
         of_group = state.log_weight_sum[group]
         state.log_weight_sum[group] = np.log(len(group)) + of_group - of_group.max()
@@ -152,3 +157,23 @@ def _how_many_settle(old: Snapshot, largest: Drawn, settings: FilterSettings) ->
     while count and records[count].step == records[count - 1].step:
         count -= 1
     return count
+
+
+def _without_centre(
+    old: Snapshot, largest: Drawn, settle: int, settings: FilterSettings
+) -> np.ndarray:
+    """Ids of landmarks of the first `settle` records, which leave, that are not worth a centre."""
+    identities = largest.past.identities
+    seen = old.history.settled.seen.renamed(largest.past.aliases).also(
+        old.history.records, identities
+    )
+    leaving = np.concatenate([np.empty(0, np.int64), *identities[:settle]])
+    ids = np.union1d(largest.prior.ids, leaving) if settle else leaving
+    places = largest.planes[np.searchsorted(largest.ids, ids), :3, 0].astype(float)
+    return forgotten(ids, places, seen.of_ids(ids)[0], settings.rejuvenation)
+
+
+def _unseen_since(ids: np.ndarray, old: Snapshot, largest: Drawn, settle: int) -> np.ndarray:
+    """Those of the landmarks `ids` that no particle saw after the first `settle` records."""
+    since = [np.unique(record.matches) for record in old.history.records[settle:]]
+    return np.setdiff1d(ids, np.concatenate([*since, *largest.past.identities[settle:], ids[:0]]))

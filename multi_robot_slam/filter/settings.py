@@ -38,6 +38,18 @@ class RejuvenationSettings:
         "most unknowns of poses and landmarks that are smoothed together; beyond that the older "
         "half of the poses is marginalised: the time of a rejuvenation grows with the cube",
     ] = 1800
+    landmarks: Annotated[
+        int,
+        Ge(1),
+        "most landmarks of marginalised frames; beyond that those are forgotten that have the most "
+        "better ones around them: memory grows with the square, 8 MB for 500",
+    ] = 1000
+    least_seen: Annotated[
+        int,
+        Ge(1),
+        "landmarks of marginalised frames that were observed less often are forgotten; more than 1 "
+        "where a detector reports what it never finds again",
+    ] = 1
     share: Annotated[
         float,
         Interval(gt=0, le=1),

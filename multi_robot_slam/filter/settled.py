@@ -5,7 +5,7 @@ forty bytes, and no step of the filter ever walks through them.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -56,6 +56,11 @@ class SeenLandmarks:
         if not len(aliases):
             return self
         return SeenLandmarks.of(aliases.of(self.ids), self.counts, self.robots)
+
+    def forget(self, ids: np.ndarray) -> "SeenLandmarks":
+        """Without the landmarks `ids`, ascending."""
+        kept = np.isin(self.ids, ids, invert=True)
+        return SeenLandmarks(self.ids[kept], self.counts[kept], self.robots[kept])
 
     def of_ids(self, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Counts and robots (N,) of the landmarks `ids` (N,), zero where they were not seen."""
@@ -109,6 +114,10 @@ class Settled:
             parts = _joined((*parts, (robots, stamps, poses)))
         seen = self.seen.renamed(aliases).also(records, identities)
         return Settled(self.keeps_frames, parts, seen, frames)
+
+    def forget(self, ids: np.ndarray) -> "Settled":
+        """Without how often the landmarks `ids` were seen; frames stay as they are."""
+        return replace(self, seen=self.seen.forget(ids)) if len(ids) else self
 
     def path(self, robot: int) -> tuple[np.ndarray, np.ndarray]:
         """Stamps (n,) [ns] and poses (n, 3) of one robot, oldest first."""

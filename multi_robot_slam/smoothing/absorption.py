@@ -69,7 +69,13 @@ class Belief(NamedTuple):
 
 
 @one_thread
-def absorb(problem: Problem, smoothed: Smoothed, count: int, prior: Prior) -> Prior:
+def absorb(
+    problem: Problem,
+    smoothed: Smoothed,
+    count: int,
+    prior: Prior,
+    forgotten: np.ndarray | None = None,
+) -> Prior:
     """The prior after the first `count` records of a problem, which leave the window.
 
     With it and the later records `problem_of` makes a problem whose optimum and covariance are
@@ -81,6 +87,7 @@ def absorb(problem: Problem, smoothed: Smoothed, count: int, prior: Prior) -> Pr
     smoothed : the optimum of `problem`; its weights are those of the observations that leave.
     count : no sighting may tie one of these records to a later one: whole steps.
     prior : the one that `problem` was posed with.
+    forgotten : ids of landmarks that have no centre after: what they say of the rest stays.
 
     Returns
     -------
@@ -91,7 +98,9 @@ def absorb(problem: Problem, smoothed: Smoothed, count: int, prior: Prior) -> Pr
     leaving = _leaving(problem, smoothed, count, prior)
     if not len(leaving.views):
         return prior
-    active, belief = leaving.problem.prior, _belief(leaving)
+    ids = leaving.problem.ids
+    kept = np.flatnonzero(np.isin(ids, forgotten, invert=True)) if forgotten is not None else None
+    active, belief = leaving.problem.prior, _belief(leaving, kept)
     robots, resting = _resting(prior, active)
     means, covariance, mixed = _follow(prior, active, belief)
     poses = prior.poses.copy()
@@ -99,17 +108,18 @@ def absorb(problem: Problem, smoothed: Smoothed, count: int, prior: Prior) -> Pr
     centres = prior.centres[resting]
     centres[:, :2] = means[3 * len(robots) :].reshape(-1, 2)
     information = np.append(inverses(belief.covariances), prior.information[resting], axis=0)
-    ids = np.append(leaving.problem.ids, prior.ids[resting])
+    ids = np.append(ids if kept is None else ids[kept], prior.ids[resting])
     order = np.argsort(ids, kind="stable")
     joint = np.block([[_covariance(belief), mixed.T], [mixed, covariance]])
     rows = _rows(active.robots, robots, len(belief.centres), order)
-    return Prior(
+    result = Prior(
         poses,
         ids[order],
         np.append(belief.centres, centres, axis=0)[order],
         information[order],
         joint[np.ix_(rows, rows)],
     )
+    return result if forgotten is None else result.forget(forgotten)
 
 
 @one_thread
@@ -186,8 +196,10 @@ def _leaving(problem: Problem, smoothed: Smoothed, count: int, prior: Prior) -> 
     return Leaving(part, smoothed.views[views], smoothed.landmarks[is_in, :3], weights)
 
 
-def _belief(leaving: Leaving) -> Belief:
-    """One step of Gauss-Newton from where the window's optimum has all, and the covariance there.
+def _belief(leaving: Leaving, kept: np.ndarray | None) -> Belief:
+    """Of all landmarks of the problem, or of the rows `kept` of them.
+
+    One step of Gauss-Newton from where the window's optimum has all, and the covariance there.
 
     The landmarks too count as they lie at that optimum, though they have a gradient there: so what
     remains has the same derivatives as before.
@@ -206,17 +218,23 @@ def _belief(leaving: Leaving) -> Belief:
     factor = factorised(problem, views, linearised, weights, envelope)
     step = -factor.solve_upper(factor.solve_lower(gradient))[: columns[-1]]
     deviations = factor.solve_upper(np.eye(factor.size))[: columns[-1]]
+    moves = (jacobians @ step).reshape(-1, 3)
+    is_new = _is_new(problem)
+    if kept is not None:
+        jacobians = jacobians.reshape(len(landmarks), 3, -1)[kept].reshape(3 * len(kept), -1)
+        landmarks, covariances, moves = landmarks[kept], covariances[kept], moves[kept]
+        is_new = is_new[kept]
     of_landmarks = (jacobians @ deviations).reshape(len(landmarks), 3, deviations.shape[1])
     last = {robot: p for p, robot in enumerate(problem.robots.tolist())}
     anchors = 3 * np.array([last[robot] for robot in problem.anchors], int)[:, None] + np.arange(3)
-    covariances, moved = _share(problem, covariances)
+    covariances, moved = _share(is_new, covariances)
     covariances[:, 5] += np.sum(of_landmarks[:, 2] ** 2, axis=1)
     old = problem.prior_columns
     return Belief(
         old_step=prior_residuals(problem, views) + step[old],
         old_deviations=deviations[old],
         anchors=views[anchors[:, 0] // 3] + step[anchors],
-        centres=landmarks[:, :3] + (jacobians @ step).reshape(-1, 3),
+        centres=landmarks[:, :3] + moves,
         covariances=covariances,
         deviations=np.append(
             deviations[anchors.ravel()],
@@ -227,13 +245,18 @@ def _belief(leaving: Leaving) -> Belief:
     )
 
 
-def _share(problem: Problem, covariances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _is_new(problem: Problem) -> np.ndarray:
+    """(N,) bool: landmarks without a centre so far."""
+    is_new = np.ones(len(problem.ids), bool)
+    is_new[problem.landmarks[problem.seen_from >= problem.poses]] = False
+    return is_new
+
+
+def _share(is_new: np.ndarray, covariances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Lambda^-1 (N, 6) without what is moved to the centres, and that (N, 2, 2).
 
-    Of landmarks without a centre so far, a share of the covariance in the plane given the height.
+    Of landmarks that are new, a share of the covariance in the plane given the height.
     """
-    is_new = np.ones(len(covariances), bool)
-    is_new[problem.landmarks[problem.seen_from >= problem.poses]] = False
     in_plane = unpack(inverses(covariances))[:, :2, :2]
     moved = MOVED * is_new[:, None, None] * np.linalg.inv(in_plane)
     return covariances - pack(np.pad(moved, ((0, 0), (0, 1), (0, 1)))), moved

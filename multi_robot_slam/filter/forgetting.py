@@ -1,0 +1,44 @@
+"""Which settled landmarks are worth their cost: all of them are known jointly.
+
+Time and memory of the prior grow with the square of its landmarks, and images have thousands. What
+a robot needs where it comes back is some landmarks in view, each of which it finds again. So those
+that were hardly ever seen again are forgotten, and where there are too many, those that have the
+most better ones around them. What they said of the paths stays; they leave the map.
+"""
+
+import numpy as np
+
+from multi_robot_slam.filter.settings import RejuvenationSettings
+
+NEIGHBOURHOOD_M = 2.0
+"""Side of the cells in each of which as many landmarks are kept; a view has a dozen."""
+
+
+def forgotten(
+    ids: np.ndarray, places: np.ndarray, counts: np.ndarray, settings: RejuvenationSettings
+) -> np.ndarray:
+    """Those of the landmarks `ids` (n,) that are not worth their cost, ascending.
+
+    Parameters
+    ----------
+    places : (n, 3) in `map` [m].
+    counts : (n,) how often each was observed.
+
+    """
+    is_seen = counts >= settings.least_seen
+    most = settings.landmarks
+    if np.count_nonzero(is_seen) > most:
+        kept = np.flatnonzero(is_seen)
+        best = np.argsort(_rank_in_cell(places[kept], counts[kept], ids[kept]), kind="stable")
+        is_seen[kept[best[most:]]] = False
+    return np.sort(ids[~is_seen])
+
+
+def _rank_in_cell(places: np.ndarray, counts: np.ndarray, ids: np.ndarray) -> np.ndarray:
+    """(n,): how many of its cell were observed more often; the newer of equals first."""
+    _, cells = np.unique(np.floor(places[:, :2] / NEIGHBOURHOOD_M), axis=0, return_inverse=True)
+    order = np.lexsort([-ids, -counts, cells])
+    ranks = np.empty(len(ids), np.int64)
+    first = np.append(0, np.cumsum(np.bincount(cells)))
+    ranks[order] = np.arange(len(ids)) - first[cells[order]]
+    return ranks
