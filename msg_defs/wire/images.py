@@ -72,7 +72,7 @@ def decode_image(data: bytes, what: str) -> Image:
     Where rows are padded, pixels are a view with a stride; nothing is copied but for a swap of
     bytes.
     """
-    message = decode(messages.Image, data, what)
+    message = decode(messages.Image, memoryview(data), what)
     kind = _format(message.encoding, what)
     pixels = _rows(message, kind, what).view(
         kind.dtype.newbyteorder(">" if message.is_bigendian else "<")
@@ -138,7 +138,7 @@ def decode_compressed(data: bytes, what: str) -> Image:
     """
     import cv2
 
-    message = decode(messages.CompressedImage, data, what)
+    message = decode(messages.CompressedImage, memoryview(data), what)
     _require_whole(message.data.tobytes(), message.format, what)
     try:
         pixels = cv2.imdecode(message.data, cv2.IMREAD_UNCHANGED)

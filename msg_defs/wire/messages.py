@@ -60,7 +60,7 @@ def encode(message: Any) -> bytes:
     return bytes(_STORE.serialize_cdr(message, message.__msgtype__))
 
 
-def decode(message_type: Any, data: bytes, what: str) -> Any:
+def decode(message_type: Any, data: bytes | memoryview, what: str) -> Any:
     """The message in CDR bytes; `what` it is begins the complaint when it is none."""
     name = message_type.__msgtype__
     try:

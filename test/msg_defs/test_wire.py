@@ -16,8 +16,10 @@ from scipy.spatial.transform import Rotation
 from msg_defs import topics, wire
 from msg_defs.errors import InputError
 from msg_defs.types import (
+    CameraInfo,
     Estimate,
     FrameRecord,
+    Image,
     LandmarkMap,
     ObservationSet,
     ObservationTruth,
@@ -123,6 +125,27 @@ def of_robot(decode):
     return functools.partial(decode, robot=ROBOT)
 
 
+def picture(encoding="bgr8", height=6, width=8):
+    kind = wire.ENCODINGS[encoding]
+    shape = (height, width, kind.channels) if kind.channels > 1 else (height, width)
+    pixels = np.random.default_rng(9).integers(0, np.iinfo(kind.dtype).max, shape, kind.dtype)
+    return Image(STAMP, CAMERA, encoding, pixels)
+
+
+def camera_info():
+    intrinsics = np.array([[458.6, 0, 367.2], [0, 457.3, 248.4], [0, 0, 1]])
+    projection = np.array([[435.2, 0, 367.5, -47.9], [0, 435.2, 252.2, 0], [0, 0, 1, 0]])
+    distortion = np.array([-0.28, 0.07, 2e-4, 1.8e-5, 0])
+    rotation = Rotation.from_rotvec([0.01, -0.02, 0.003]).as_matrix()
+    return CameraInfo(
+        STAMP, CAMERA, 752, 480, "plumb_bob", distortion, intrinsics, rotation, projection
+    )
+
+
+def called(decode):
+    return functools.partial(decode, what="left image of robot_2")
+
+
 statuses = (wire.Status("fusion", {"a": "1", "ü": ""}, wire.WARN, "slow", ROBOT),)
 
 KINDS = {
@@ -147,6 +170,10 @@ KINDS = {
     "step": (wire.encode_step(step_record()), wire.decode_step),
     "diagnostics": (wire.encode_diagnostics(STAMP, statuses), wire.decode_diagnostics),
     "text": (wire.encode_text("seed: 1\n"), wire.decode_text),
+    "image": (wire.encode_image(picture()), called(wire.decode_image)),
+    "jpeg": (wire.encode_compressed(picture()), called(wire.decode_compressed)),
+    "png": (wire.encode_compressed(picture("mono16"), "png"), called(wire.decode_compressed)),
+    "camera_info": (wire.encode_camera_info(camera_info()), called(wire.decode_camera_info)),
 }
 
 
@@ -622,6 +649,9 @@ class TestRos:
         (topics.STEPS, KINDS["step"][0]),
         (topics.DIAGNOSTICS, KINDS["diagnostics"][0]),
         (topics.WORLD_CONFIG, KINDS["text"][0]),
+        (topics.image(ROBOT, "left"), KINDS["image"][0]),
+        (topics.compressed_image(ROBOT, "left"), KINDS["png"][0]),
+        (topics.camera_info(ROBOT, "left"), KINDS["camera_info"][0]),
         (topics.MAP_MARKERS, wire.encode_markers(landmark_map(), {ROBOT: trajectory()}, STAMP)),
     )
 
