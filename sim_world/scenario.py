@@ -7,6 +7,7 @@ from annotated_types import Ge, Gt, Interval
 
 from msg_defs import topics
 from msg_defs.types import StereoCamera, settings
+from sim_world.rendering.settings import ImageSettings
 
 SECTION = "sim_world"
 Tour = Literal["figure_eight", "hall_first", "ring"]
@@ -71,6 +72,7 @@ class Scenario:
     descriptor_database: Annotated[
         str, "file made by `sim_world descriptors`; empty is the one shipped"
     ] = ""
+    images: ImageSettings = field(default_factory=ImageSettings)
 
     @property
     def names(self) -> tuple[str, ...]:

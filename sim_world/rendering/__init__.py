@@ -1,0 +1,1 @@
+"""Rendered cameras: what a robot's stereo pair shows of the building."""
