@@ -8,6 +8,8 @@ from msg_defs.errors import InputError
 
 STREAM = "stream"
 """Reliable, keep the last 1000: nothing may be lost."""
+BULKY = "bulky"
+"""Reliable, keep the last 10: of what is so large that 1000 would fill the memory."""
 LATCHED = "latched"
 """Reliable and transient local, depth 1: late subscribers get the last message."""
 SENSOR = "sensor"

@@ -23,6 +23,14 @@ ScenarioName = Annotated[
     ),
 ]
 Robots = Annotated[int | None, typer.Option(min=1, max=32, help="Number of robots.")]
+Images = Annotated[
+    bool,
+    typer.Option(
+        "--images",
+        help="Robots publish pictures of their stereo cameras instead of landmarks, as with "
+        "images.enabled in the scenario.",
+    ),
+]
 
 
 @app.command(no_args_is_help=True)
@@ -45,14 +53,16 @@ def descriptors(
 
 
 @app.command()
-def team(scenario: ScenarioName = "calibrated", robots: Robots = None) -> None:
+def team(
+    scenario: ScenarioName = "calibrated", robots: Robots = None, images: Images = False
+) -> None:
     """Print the scenario with the team's names and true start poses in it, for every node.
 
     sim_world team --robots 2 > team.yaml
     sim_world robots --ros-args -p scenario:=team.yaml
     multi_robot_slam fusion --ros-args -p scenario:=team.yaml
     """
-    print(team_scenario(scenario, robots), end="")
+    print(team_scenario(scenario, robots, images=images), end="")
 
 
 @app.command(no_args_is_help=True)
@@ -80,15 +90,17 @@ def generate(
             "scenario: 75 s for three robots by default.",
         ),
     ] = None,
+    images: Images = False,
 ) -> None:
     """Simulate a team straight into a bag, without ROS: `multi_robot_slam run BAG` needs no more.
 
     It holds what a recorder would: odometry and observations, the truth about them, walls and true
-    landmarks, and the configurations of world and fusion.
+    landmarks, and the configurations of world and fusion. With --images pictures, without loss,
+    take the place of observations and landmarks.
     """
     from multi_robot_slam.cli import simulated
 
-    world, config = simulated.configure(scenario, robots, seed, rate, laps)
+    world, config = simulated.configure(scenario, robots, seed, rate, laps, images)
     simulated.write_bag(world, config, out)
     print(f"Now: multi_robot_slam run {out}")
 

@@ -3,7 +3,7 @@
 import sys
 import time
 from collections.abc import Callable, Iterator
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 from annotated_types import Ge
 from rclpy.node import Node
@@ -14,11 +14,13 @@ from msg_defs.ros.endpoints import Audience, InFlight, publisher
 from msg_defs.ros.parameters import declare
 from msg_defs.ros.spin import EdgeNode, spin
 from msg_defs.ros.usage import Usage
+from msg_defs.topics import Topic
 from msg_defs.types import settings
 from sim_world import messages
+from sim_world.messages import Message
 from sim_world.robot import START_NS
 from sim_world.scenario import SECTION, Scenario
-from sim_world.simulator import RobotStep, Simulation
+from sim_world.simulator import Simulation
 
 IN_FLIGHT_S = 4.0
 """Message time published before subscribers must have acknowledged it.
@@ -28,6 +30,10 @@ this, which is less than the 5 s that a fusion waits for a robot by default.
 """
 MOST_IN_FLIGHT = 200
 """As many steps, if that is less; publishers and subscribers keep 1000."""
+MOST_PICTURES_IN_FLIGHT = 8
+"""As many steps with pictures, of which publishers keep 10."""
+AUTOMATIC: messages.Transport = "raw"
+"""How messages hold pictures, where the scenario does not say."""
 POLL_S = 0.01
 
 
@@ -41,6 +47,9 @@ class Playback:
     subscribers: Annotated[
         int, Ge(0), "subscribers to wait for on each odom and stereo/landmarks topic"
     ] = 1
+    image_subscribers: Annotated[
+        int, Ge(0), "subscribers to wait for on each topic of pictures and their calibration"
+    ] = 1
     truth_subscribers: Annotated[
         int, Ge(0), "subscribers to wait for on each ground_truth and stereo/truth topic"
     ] = 0
@@ -50,18 +59,48 @@ class Playback:
 class RobotNode(Node):
     """Publishes what one robot reports, and the truth about it."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, transport: messages.Transport | None) -> None:
+        """Of pictures that messages hold in this way or, where there is none, of landmarks."""
         super().__init__(name)
-        inputs = topics.odometry(name), topics.observations(name)
-        truths = topics.ground_truth(name), topics.observation_truth(name)
-        self.inputs = [publisher(self, topic) for topic in inputs]
-        self.truths = [publisher(self, topic) for topic in truths]
+        inputs, truths = [topics.odometry(name)], [topics.ground_truth(name)]
+        if not transport:
+            inputs.append(topics.observations(name))
+            truths.append(topics.observation_truth(name))
+        self.inputs = _publishers(self, inputs)
+        pictures = messages.picture_topics(name, transport) if transport else []
+        self.pictures = _publishers(self, pictures, topics.BULKY)
+        self.truths = _publishers(self, truths)
 
-    def publish(self, step: RobotStep) -> None:
+    @property
+    def outputs(self) -> dict[Topic, Publisher]:
+        """All publishers."""
+        return self.inputs | self.pictures | self.truths
+
+    def publish(self, step: list[Message]) -> None:
         """Publish everything of one instant."""
-        outputs = self.inputs + self.truths
-        for output, (_, data) in zip(outputs, messages.of_step(step), strict=True):
-            output.publish(data)
+        outputs = self.outputs
+        for topic, data in step:
+            outputs[topic].publish(data)
+
+
+def _publishers(
+    node: Node, wanted: list[Topic], qos: str = topics.STREAM
+) -> dict[Topic, Publisher]:
+    return {topic: publisher(node, topic._replace(qos=qos)) for topic in wanted}
+
+
+class _Said(NamedTuple):
+    """What all robots say at one instant."""
+
+    stamp_ns: int
+    messages: list[list[Message]]
+    """Of each robot."""
+
+
+def _said(simulation: Simulation) -> Iterator[_Said]:
+    say = messages.teller(simulation, AUTOMATIC)
+    for instant in simulation.steps():
+        yield _Said(instant[0].odometry.stamp_ns, [say(step) for step in instant])
 
 
 class SimWorld(EdgeNode):
@@ -73,16 +112,21 @@ class SimWorld(EdgeNode):
         self._now_s = clock
         scenario, playback = declare(self, *USAGE.classes, section=USAGE.section)
         simulation = Simulation(scenario, playback.seed, playback.only or None)
-        self._robots = [RobotNode(name) for name in simulation.start_poses]
+        images = scenario.images
+        transport = messages.transport(images, AUTOMATIC) if images.enabled else None
+        self._robots = [RobotNode(name, transport) for name in simulation.start_poses]
         self.companions = [*self._robots]
         self._speed = playback.speed
         self._audience = Audience(self, self._expected(playback), playback.wait_s)
-        self._in_flight = InFlight(self, [p for r in self._robots for p in r.inputs + r.truths])
+        self._in_flight = InFlight(self, [p for r in self._robots for p in r.outputs.values()])
         self._publish_world(simulation)
-        self._steps = simulation.steps()
+        if images.enabled:
+            self.get_logger().info("painting the walls and compiling what renders them")
+        self._steps = _said(simulation)
         self._next = next(self._steps, None)
         self._published = 0
-        self._most_in_flight = min(MOST_IN_FLIGHT, int(IN_FLIGHT_S / scenario.period_s))
+        most = MOST_PICTURES_IN_FLIGHT if images.enabled else MOST_IN_FLIGHT
+        self._most_in_flight = min(most, int(IN_FLIGHT_S / scenario.period_s))
         self._started_s: float | None = None
 
     def work(self) -> float:
@@ -102,14 +146,15 @@ class SimWorld(EdgeNode):
     def _expected(self, playback: Playback) -> Iterator[tuple[Publisher, int]]:
         """Publishers, each with the subscribers it waits for."""
         for robot in self._robots:
-            yield from ((output, playback.subscribers) for output in robot.inputs)
-            yield from ((output, playback.truth_subscribers) for output in robot.truths)
+            yield from ((one, playback.subscribers) for one in robot.inputs.values())
+            yield from ((one, playback.image_subscribers) for one in robot.pictures.values())
+            yield from ((one, playback.truth_subscribers) for one in robot.truths.values())
 
     def _publish_world(self, simulation: Simulation) -> None:
         for topic, data in messages.of_world(simulation):
             publisher(self, topic).publish(data)
 
-    def _due_s(self, step: tuple[RobotStep, ...]) -> float:
+    def _due_s(self, step: "_Said") -> float:
         """When a step is to be published, on the monotonic clock [s]."""
         if self._started_s is None:
             self._started_s = self._now_s()
@@ -117,11 +162,11 @@ class SimWorld(EdgeNode):
             self.get_logger().info(f"publishing {names}")
         if self._speed == 0:
             return 0.0
-        elapsed_s = (step[0].odometry.stamp_ns - START_NS) / 1e9
+        elapsed_s = (step.stamp_ns - START_NS) / 1e9
         return self._started_s + elapsed_s / self._speed
 
-    def _publish_step(self, step: tuple[RobotStep, ...]) -> None:
-        for robot, own in zip(self._robots, step, strict=True):
+    def _publish_step(self, step: "_Said") -> None:
+        for robot, own in zip(self._robots, step.messages, strict=True):
             robot.publish(own)
         self._next = next(self._steps, None)
         self._published += 1

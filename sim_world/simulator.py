@@ -1,15 +1,21 @@
 """Scenario and seed -> everything that happens, in time order."""
 
 from collections.abc import Iterator
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from msg_defs.errors import InputError
 from msg_defs.types import LandmarkMap, Trajectory, Walls
 from sim_world import robot, trajectories, world
+from sim_world.rendering.level import require_level
 from sim_world.robot import RobotStep
 from sim_world.scenario import Scenario
 from sim_world.trajectories import Drive
+
+if TYPE_CHECKING:
+    from sim_world.rendering.renderer import Renderer
 
 __all__ = ["RobotStep", "Simulation"]
 
@@ -26,6 +32,8 @@ class Simulation:
             raise InputError(f"no robot '{only}'; the team is {', '.join(scenario.names)}")
         self.scenario = scenario
         self.seed = seed
+        if scenario.images.enabled:
+            require_level(scenario.camera, world.HEIGHT_M)
         self._world = world.build(scenario)
         parts = trajectories.poses(
             scenario.trajectory, scenario.robots, scenario.movements, scenario.start_offset
@@ -49,6 +57,15 @@ class Simulation:
     def start_poses(self) -> dict[str, np.ndarray]:
         """Name of each simulated robot -> (3,) its true first pose in `map`."""
         return {name: next(iter(drive)) for name, drive in self._drives.items()}
+
+    @cached_property
+    def renderer(self) -> "Renderer | None":
+        """What makes the robots' pictures, where `scenario.images` are enabled."""
+        if not self.scenario.images.enabled:
+            return None
+        from sim_world.rendering import renderer  # compiles, which landmarks do not need
+
+        return renderer.of_building(self.scenario, self.seed)
 
     @property
     def instants(self) -> int:

@@ -15,6 +15,7 @@ def team_scenario(
     robots: int | None = None,
     rate_hz: float | None = None,
     laps: int | None = None,
+    images: bool = False,
 ) -> str:
     """The scenario `name` as YAML, with what the fusion must know about the simulated team in it.
 
@@ -23,6 +24,7 @@ def team_scenario(
 
     `robots` and `laps` replace the scenario's. At `rate_hz` frames of each robot in a second a lap
     takes as long as at the scenario's rate: of more and smaller movements, or fewer and larger.
+    With `images` robots publish pictures whatever the scenario says.
     """
     path = scenario_file.find_scenario(name)
     sections = scenario_file.sections(scenario_file.read(path), str(path))
@@ -33,6 +35,7 @@ def team_scenario(
         wanted |= {"period_s": 1 / rate_hz, "movements": movements}
     values = scenario_file.to_plain(world)
     values |= {name: value for name, value in wanted.items() if value is not None}
+    values["images"]["enabled"] |= images
     world = scenario_file.from_mapping(Scenario, values, f"{path}: {SECTION}")
     starts = Simulation(world, seed=0).start_poses
     team = {

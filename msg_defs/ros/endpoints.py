@@ -34,6 +34,7 @@ _RELIABLE, _BEST_EFFORT = ReliabilityPolicy.RELIABLE, ReliabilityPolicy.BEST_EFF
 
 _QOS = {
     topics.STREAM: QoSProfile(depth=1000),
+    topics.BULKY: QoSProfile(depth=10),
     topics.LATCHED: QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL),
     topics.SENSOR: QoSProfile(depth=1, reliability=_BEST_EFFORT),
 }

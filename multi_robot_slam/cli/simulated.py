@@ -21,12 +21,13 @@ def configure(
     seed: int = 0,
     rate_hz: float | None = None,
     laps: int | None = None,
+    images: bool = False,
 ) -> tuple[Scenario, Config]:
     """Every setting of both packages for a simulated team.
 
     What is None is the scenario's; `seed` is the filter's. See `team_scenario`.
     """
-    team = team_scenario(scenario, robots, rate_hz, laps)
+    team = team_scenario(scenario, robots, rate_hz, laps, images)
     config = scenario_file.from_yaml(Config, team, SECTION, scenario)
     world = scenario_file.from_yaml(Scenario, team, WORLD_SECTION, scenario)
     return world, replace(config, seed=seed)
@@ -41,15 +42,16 @@ def write_bag(world: Scenario, config: Config, bag: Path) -> None:
     """Simulate the team into the new `bag`, one instant after the other, with a progress bar.
 
     The bag has what a recorder of the robots and their fusion's configuration would leave, each
-    message at its stamp.
+    message at its stamp. Pictures are PNG unless the scenario says otherwise.
     """
     simulation = Simulation(world, config.seed)
     text = wire.encode_text(scenario_file.to_yaml(**{SECTION: config}))
     with BagWriter(bag) as writer, countdown() as progress:
         for topic, data in [*messages.of_world(simulation), (topics.FUSION_CONFIG, text)]:
             writer.write(topic, START_NS, data)
+        say = messages.teller(simulation, "png")
         steps = progress.track(simulation.steps(), simulation.instants, description=f"{bag}")
         for instant in steps:
             for step in instant:
-                for topic, data in messages.of_step(step):
+                for topic, data in say(step):
                     writer.write(topic, step.odometry.stamp_ns, data)

@@ -7,12 +7,12 @@ import cv2
 import numpy as np
 from scipy.special import ndtri
 
-from msg_defs.errors import InputError
-from msg_defs.types import PoseSample, StereoCamera, Walls
+from msg_defs.types import PoseSample, Walls
 from sim_world import stereo
 from sim_world.planar import compose
 from sim_world.rendering import kernels, textures
 from sim_world.rendering.kernels import Sensor, Surfaces, View
+from sim_world.rendering.level import require_level
 from sim_world.rendering.people import Crowd
 from sim_world.rendering.settings import WallSettings
 from sim_world.rendering.textures import Textures
@@ -55,22 +55,6 @@ def _building_textures(settings: WallSettings, world_seed: int) -> Textures:
     )
 
 
-def require_level(camera: StereoCamera, walls: Walls) -> None:
-    """`InputError` unless columns of its pictures show the walls upright, between floor and top."""
-    mount = camera.mount
-    for name, value in (("roll_rad", mount.roll_rad), ("pitch_rad", mount.pitch_rad)):
-        if value:
-            raise InputError(
-                f"camera.mount.{name} = {value}: rendered cameras are level; give 0, or leave "
-                "images out"
-            )
-    if not 0 < mount.up_m < walls.height_m:
-        raise InputError(
-            f"camera.mount.up_m = {mount.up_m}: rendered cameras are between floor and ceiling; "
-            f"give 0 < value < {walls.height_m}"
-        )
-
-
 class Renderer:
     """The pictures of all robots of a simulation; the same scenario and seed give the same bytes.
 
@@ -80,7 +64,8 @@ class Renderer:
 
     def __init__(self, walls: Walls, textures: Textures, scenario: Scenario, seed: int) -> None:
         """Render `walls` with the `textures` on them; `InputError` for a camera not level."""
-        require_level(scenario.camera, walls)
+        require_level(scenario.camera, walls.height_m)
+        self.scenario = scenario
         self._camera, self._images = scenario.camera, scenario.images
         self._names, self._seed = scenario.names, seed
         self._walls = Surfaces(

@@ -37,8 +37,9 @@ class ImageSettings:
         bool, "robots publish pictures, of which the node `camera` makes landmarks"
     ] = False
     transport: Annotated[
-        Literal["raw", "png", "jpeg"], "how messages hold them: as they are, without loss, with"
-    ] = "raw"
+        Literal["auto", "raw", "png", "jpeg"],
+        "how messages hold them; auto: raw on topics, png, of the same pixels, in bags",
+    ] = "auto"
     jpeg_quality: Annotated[int, Interval(ge=1, le=100), "of jpeg; 100 is the best"] = 95
     walls: WallSettings = field(default_factory=WallSettings)
     blur_px: Annotated[
