@@ -14,6 +14,8 @@ LATCHED = "latched"
 """Reliable and transient local, depth 1: late subscribers get the last message."""
 SENSOR = "sensor"
 """Best effort, depth 1: only the newest counts."""
+CAMERA = "camera"
+"""Best effort, keep the last 10, as camera drivers do: what comes too fast is lost."""
 
 MAP_FRAME = "map"
 CAMERA_FRAME = "{robot}/camera_left_optical"
@@ -54,16 +56,26 @@ def sightings(robot: str) -> Topic:
 
 def image(robot: str, side: str, name: str = "image_rect") -> Topic:
     """Pictures of the `side` (left, right) camera; stereo_image_proc's names."""
-    return Topic(f"{robot}/{side}/{name}", "sensor_msgs/msg/Image")
+    return Topic(f"{robot}/{side}/{name}", "sensor_msgs/msg/Image", CAMERA)
 
 
 def compressed_image(robot: str, side: str, name: str = "image_rect") -> Topic:
     """The same, compressed, under image_transport's name."""
-    return Topic(f"{robot}/{side}/{name}/compressed", "sensor_msgs/msg/CompressedImage")
+    return Topic(f"{robot}/{side}/{name}/compressed", "sensor_msgs/msg/CompressedImage", CAMERA)
 
 
 def camera_info(robot: str, side: str) -> Topic:
-    return Topic(f"{robot}/{side}/camera_info", "sensor_msgs/msg/CameraInfo")
+    return Topic(f"{robot}/{side}/camera_info", "sensor_msgs/msg/CameraInfo", CAMERA)
+
+
+def preview(robot: str) -> Topic:
+    """The left picture of each pair that was looked at, rectified, grey and small."""
+    return Topic(f"{robot}/preview/image/compressed", "sensor_msgs/msg/CompressedImage")
+
+
+def preview_info(robot: str) -> Topic:
+    """The calibration of the preview, as stamped as each."""
+    return Topic(f"{robot}/preview/camera_info", "sensor_msgs/msg/CameraInfo")
 
 
 def observation_truth(robot: str) -> Topic:

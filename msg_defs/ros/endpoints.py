@@ -37,6 +37,7 @@ _QOS = {
     topics.BULKY: QoSProfile(depth=10),
     topics.LATCHED: QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL),
     topics.SENSOR: QoSProfile(depth=1, reliability=_BEST_EFFORT),
+    topics.CAMERA: QoSProfile(depth=10, reliability=_BEST_EFFORT),
 }
 
 

@@ -34,7 +34,7 @@ from msg_defs.wire.images import (
     encode_compressed,
     encode_image,
 )
-from msg_defs.wire.messages import message_class, message_schema, peek_stamp
+from msg_defs.wire.messages import is_known, message_class, message_schema, peek_stamp
 from msg_defs.wire.pictures import decode_walls, encode_markers, encode_walls
 from msg_defs.wire.poses import (
     decode_particles,
@@ -105,6 +105,7 @@ __all__ = [
     "encode_text",
     "encode_transform",
     "encode_walls",
+    "is_known",
     "message_class",
     "message_schema",
     "peek_stamp",

@@ -75,14 +75,14 @@ _FLIP_POSITION = np.array([1, -1, 1], np.float32)
 _FLIP_COVARIANCE = np.array([1, -1, 1, 1, -1, 1], np.float32)
 
 
-def encode_observations(observations: ObservationSet) -> bytes:
-    """PointCloud2 in the robot's optical frame."""
+def encode_observations(observations: ObservationSet, frame: str = CAMERA_FRAME) -> bytes:
+    """PointCloud2 in the `frame`, in which {robot} stands for the name."""
     columns = {
         **_position_columns(observations.positions * _FLIP_POSITION),
         "covariance": observations.covariances * _FLIP_COVARIANCE,
         "descriptor": observations.descriptors,
     }
-    frame_id = camera_frame(observations.robot)
+    frame_id = camera_frame(observations.robot, frame)
     return _encode_cloud(_OBSERVATION, columns, observations.stamp_ns, frame_id)
 
 
@@ -101,14 +101,14 @@ def decode_observations(data: bytes, robot: str, frame: str = CAMERA_FRAME) -> O
     )
 
 
-def encode_sightings(sightings: Sightings) -> bytes:
-    """PointCloud2 in the optical frame of the robot that sees."""
+def encode_sightings(sightings: Sightings, frame: str = CAMERA_FRAME) -> bytes:
+    """PointCloud2 in the `frame` of the robot that sees, as `encode_observations`."""
     columns = {
         **_position_columns(sightings.positions * _FLIP_POSITION),
         "covariance": sightings.covariances * _FLIP_COVARIANCE,
         "robot": sightings.others,
     }
-    frame_id = camera_frame(sightings.robot)
+    frame_id = camera_frame(sightings.robot, frame)
     return _encode_cloud(_SIGHTINGS, columns, sightings.stamp_ns, frame_id)
 
 

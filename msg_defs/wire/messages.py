@@ -44,6 +44,11 @@ def message_type(type_name: str) -> Any:
         raise InputError(f"{type_name} is no message type of ROS 2 Jazzy; use one") from None
 
 
+def is_known(type_name: str) -> bool:
+    """ROS 2 Jazzy has messages of this type."""
+    return type_name in _TYPES
+
+
 def message_class(type_name: str) -> type:
     """ROS's own class of a message type such as `nav_msgs/msg/Odometry`; needs ROS."""
     package, _, name = type_name.partition("/msg/")

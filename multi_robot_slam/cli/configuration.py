@@ -9,12 +9,18 @@ from msg_defs import scenario_file, topics
 from msg_defs.errors import InputError
 from multi_robot_slam.bags import BagReader, absolute
 from multi_robot_slam.config import SECTION, Config
-from multi_robot_slam.pipeline import offline
+from multi_robot_slam.front_end.settings import DESCRIPTOR_GATE
+from multi_robot_slam.pipeline import image_bags, offline
 
-OF_THE_RECORDING = ("robots", "start_poses", "camera_frame", "mount", "mounts", "sightings")
+OF_THE_RECORDING = (
+    *("robots", "start_poses", "camera_frame", "mount", "mounts", "sightings"),
+    "camera",
+)
 """Facts about the robots and what they sent, which another way to estimate does not change."""
 OF_EACH_ROBOT = ("start_poses", "mounts")
 """Those of them with one entry for each robot, in the order of `robots`; `mounts` may be empty."""
+OF_PICTURES = {"filter": {"descriptor_gate": DESCRIPTOR_GATE}}
+"""Defaults where observations are what the front end sees in pictures."""
 
 
 class Recording(NamedTuple):
@@ -35,7 +41,8 @@ def of_run(
 
     `overrides` win over `scenario`, and what these two state explicitly wins over the configuration
     in the bag. Of what a scenario leaves out, the facts about the robots (`OF_THE_RECORDING`) are
-    the bag's, the rest are defaults. Without a scenario everything left out is the bag's.
+    the bag's, the rest are defaults; where pictures are looked at, those for pictures. Without a
+    scenario everything left out is the bag's.
 
     Raises
     ------
@@ -47,11 +54,7 @@ def of_run(
     bag, namespace = recording
     recorded = offline.recorded_config(bag, namespace)
     if scenario is None and recorded is None:
-        raise InputError(
-            f"{bag} carries no configuration on "
-            f"{absolute(topics.FUSION_CONFIG.name, namespace or '')}, its topics are "
-            f"{BagReader(bag).found()}: name one with --scenario"
-        )
+        raise _unconfigured(recording)
     stated, source = _stated(scenario)
     stated = merged(stated, overrides)
     known = {} if recorded is None else scenario_file.to_plain(recorded)
@@ -59,8 +62,36 @@ def of_run(
         known = {name: value for name, value in known.items() if name in OF_THE_RECORDING}
     values = merged(_for_robots(known, stated, bag), stated)
     config = scenario_file.from_mapping(Config, values, source)
+    if _has_pictures(recording, config):
+        config = scenario_file.from_mapping(Config, merged(OF_PICTURES, values), source)
     _check_robots(recording, config, "robots" in stated, warn)
     return config
+
+
+def _unconfigured(recording: Recording) -> InputError:
+    """The complaint that nothing is known of the robots; what can be known is in the remedy."""
+    reader, namespace = BagReader(recording.bag), recording.namespace or ""
+    names = sorted(_with_odometry(reader, namespace))
+    starts = ", ".join("[x, y, yaw]" for _ in names)
+    remedy = "name one with --scenario"
+    if names:
+        remedy += (
+            f", a file with `{SECTION}: {{robots: [{', '.join(names)}], start_poses: [{starts}], "
+            "mount: {...}}`"
+        )
+    return InputError(
+        f"{recording.bag} carries no configuration on "
+        f"{absolute(topics.FUSION_CONFIG.name, namespace)}, its topics are {reader.found()}: "
+        f"{remedy}"
+    )
+
+
+def _has_pictures(recording: Recording, config: Config) -> bool:
+    """Observations of some robot are what the front end sees in its pictures."""
+    reader = BagReader(recording.bag)
+    expected = [topics.odometry(robot) for robot in config.robots]
+    where = reader.find_namespace(expected, recording.namespace)
+    return bool(image_bags.with_images(reader, config, where))
 
 
 def merged(below: Mapping, above: Mapping) -> dict:
@@ -111,6 +142,8 @@ def _check_robots(
     recorded = {topic.name for topic in reader.summary.topics}
     expected = {r: [topics.odometry(r), topics.observations(r)] for r in config.robots}
     where = reader.find_namespace([*chain(*expected.values())], recording.namespace)
+    for robot in image_bags.with_images(reader, config, where):
+        expected[robot].remove(topics.observations(robot))
     absent = {}
     for robot, inputs in expected.items():
         names = [absolute(topic.name, where) for topic in inputs]

@@ -3,14 +3,15 @@
 import typer
 
 from msg_defs import cli
-from multi_robot_slam.cli import convert, judge, nodes, run, study
+from multi_robot_slam.cli import convert, judge, landmarks, nodes, run, study
 
 app = typer.Typer(
     help="Multi-robot visual SLAM: one landmark map and all robots' paths.",
     no_args_is_help=True,
     rich_markup_mode="markdown",
 )
-for verb in (run.demo, run.run, judge.evaluate, judge.report, judge.compare, judge.export):
+verbs = (run.demo, run.run, landmarks.landmarks, judge.evaluate, judge.report, judge.compare)
+for verb in (*verbs, judge.export):
     app.command()(verb)
 app.add_typer(convert.app, name="convert")
 for node in (nodes.fusion, nodes.record, nodes.replay):

@@ -8,6 +8,10 @@ from annotated_types import Ge, Gt, Interval
 from msg_defs.types import settings
 
 
+DESCRIPTOR_GATE = 0.25
+"""E_0 for descriptors of real pictures, where the filter's default is for simulated ones."""
+
+
 @settings
 class FeatureSettings:
     """Which points of a stereo pair become observations, and how exact they are."""
@@ -58,5 +62,11 @@ class CameraSettings:
     ] = 0.0
     approx_sync: Annotated[bool, "whether left and right may differ in their stamps"] = False
     approx_sync_max_interval_s: Annotated[float, Gt(0), "by so much at most [s]"] = 0.01
+    rest_s: Annotated[
+        float, Gt(0), "a robot that rests, by its odometry, has a pair looked at so often [s]"
+    ] = 1.0
+    preview_px: Annotated[
+        int, Ge(0), "width of the picture kept of each pair that was looked at [px]; 0: none"
+    ] = 320
     features: FeatureSettings = field(default_factory=FeatureSettings)
     tags: TagSettings = field(default_factory=TagSettings)

@@ -7,11 +7,13 @@ from pathlib import Path
 from msg_defs import scenario_file, topics, wire
 from msg_defs.errors import InputError
 from msg_defs.topics import Topic
-from msg_defs.types import Estimate, Event, StepRecord
+from msg_defs.types import Estimate, Event, PoseSample, StepRecord
 from multi_robot_slam import runs
 from multi_robot_slam.bags import BagReader, absolute
 from multi_robot_slam.config import SECTION, Config
-from multi_robot_slam.pipeline import decoding, refinement
+from multi_robot_slam.pipeline import decoding, image_bags, refinement
+from multi_robot_slam.pipeline.cameras import Look
+from multi_robot_slam.pipeline.image_bags import Cameras, OnSight
 from multi_robot_slam.pipeline.pipeline import Pipeline
 
 OnStep = Callable[[StepRecord], None]
@@ -28,14 +30,21 @@ def events(
     config: Config,
     refuse: Callable[[InputError], None] = _raise,
     namespace: str | None = None,
+    on_sight: OnSight = lambda look, sight: None,
+    on_read: Callable[[], None] = lambda: None,
 ) -> Iterator[Event]:
     """What the robots of `config` sent, in the order it was recorded.
+
+    Of robots whose pictures were recorded and whose observations were not, pairs of pictures are
+    the frames; they are looked at when they are used (`EncodedObservations`).
 
     Parameters
     ----------
     refuse : called for each message that is damaged or not what its topic says.
     namespace : in which the robots were recorded, `/fleet`; the root is `/`. By default the only
         one in which odometry or observations of theirs are.
+    on_sight : called for each pair when it is looked at.
+    on_read : called for each message that was read (`count`).
 
     Raises
     ------
@@ -45,16 +54,30 @@ def events(
     decoders = decoding.inputs(config)
     reader, found = BagReader(bag), set()
     where = reader.find_namespace(_inputs(config), namespace)
-    for topic, data in reader.only(decoders.keys(), where):
-        _, decode = decoders[topic]
+    config = image_bags.in_bag(reader, config, where)
+    cameras = Cameras(config, image_bags.without_clouds(reader, config, where), refuse)
+    for topic, data in reader.only({*decoders, *cameras.views}, where):
         found.add(topic)
-        try:
-            event = decode(data)
-        except InputError as error:
-            refuse(error)
+        on_read()
+        looks: list[Look] = []
+        if topic in cameras.views:
+            looks = cameras.take(topic, data)
         else:
+            _, decode = decoders[topic]
+            try:
+                event = decode(data)
+            except InputError as error:
+                refuse(error)
+                continue
             yield event
-    if not any({topics.odometry(r), topics.observations(r)} <= found for r in config.robots):
+            if isinstance(event, PoseSample):
+                looks = cameras.move(event)
+        for look in looks:
+            yield image_bags.encoded(look, config, on_sight)
+    for look in cameras.rest():
+        yield image_bags.encoded(look, config, on_sight)
+    seeing = {*cameras.robots, *(r for r in config.robots if topics.observations(r) in found)}
+    if not any(topics.odometry(robot) in found for robot in seeing):
         raise InputError(
             f"{bag} has nothing to estimate from: expected "
             f"{', '.join(absolute(topic.name, where) for topic in decoders)}; its topics are "
@@ -105,33 +128,34 @@ def estimate(
     pipeline = Pipeline(config, warn, keeps_frames=refine or yardstick)
     where = BagReader(bag).find_namespace(_inputs(config), namespace)
     predictions = runs.Predictions()
-    sent = Counted(events(bag, config, pipeline.refuse, where))
+    read = Tally()
+    sent = events(bag, config, pipeline.refuse, where, on_read=read.add)
     total = count(bag, config, where)
     steps = run_through(
-        pipeline, sent, lambda step: on_progress(sent.count, total), predictions.add
+        pipeline, sent, lambda step: on_progress(read.count, total), predictions.add
     )
     run = assemble(pipeline, runs.recorded(bag, config.robots, where), steps, predictions)
     run = replace(run, provenance=runs.here(scenario))
     return refinement.complete(run, pipeline, with_refined=refine, with_yardstick=yardstick)
 
 
-class Counted:
-    """Events, and how many of them have been taken."""
+class Tally:
+    """How often something happened."""
 
-    def __init__(self, sent: Iterable[Event]) -> None:
-        self._sent = sent
-        self.count = 0
+    count = 0
 
-    def __iter__(self) -> Iterator[Event]:
-        for event in self._sent:
-            self.count += 1
-            yield event
+    def add(self) -> None:
+        """It happened once more."""
+        self.count += 1
 
 
 def count(bag: Path, config: Config, namespace: str) -> int:
     """How many messages of the robots of `config` the bag holds in a namespace."""
-    counts = BagReader(bag).summary.counts
-    return sum(counts.get(absolute(t.name, namespace), 0) for t in decoding.inputs(config))
+    reader = BagReader(bag)
+    config = image_bags.in_bag(reader, config, namespace)
+    cameras = Cameras(config, image_bags.without_clouds(reader, config, namespace), _raise)
+    wanted = {*decoding.inputs(config), *cameras.views}
+    return sum(reader.summary.counts.get(absolute(t.name, namespace), 0) for t in wanted)
 
 
 def run_through(
