@@ -11,7 +11,6 @@ starting with # are comments:
     Robot<n>_Measurement.dat   time [s], barcode, range [m], bearing [rad]
 """
 
-import math
 import re
 from pathlib import Path
 
@@ -21,6 +20,7 @@ from msg_defs.errors import InputError
 from msg_defs.topics import robot_name
 from msg_defs.types import CameraMount, Trajectory
 from multi_robot_slam.datasets.recording import Commands, Noise, Readings, Recording, RobotLog
+from multi_robot_slam.datasets.text_tables import read_table
 
 NOISE = Noise(
     range_m=0.05,
@@ -44,7 +44,7 @@ def read(folder: Path) -> Recording:
     """The recording in `folder`; `InputError` with file and line for what is missing or bad."""
     subjects = _subjects(folder / "Barcodes.dat")
     numbers = _robot_numbers(folder)
-    landmarks = _table(folder / "Landmark_Groundtruth.dat", 5)
+    landmarks = read_table(folder / "Landmark_Groundtruth.dat", 5)
     landmark_subjects = landmarks[:, 0].astype(np.int64)
     return Recording(
         robots={
@@ -60,7 +60,7 @@ def read(folder: Path) -> Recording:
 
 def _subjects(path: Path) -> dict[int, int]:
     """Barcode -> subject."""
-    return {int(barcode): int(subject) for subject, barcode in _table(path, 2)}
+    return {int(barcode): int(subject) for subject, barcode in read_table(path, 2)}
 
 
 def _robot_numbers(folder: Path) -> list[int]:
@@ -78,9 +78,9 @@ def _robot(
     robots: list[int],
     landmarks: np.ndarray,
 ) -> RobotLog:
-    odometry = _table(folder / f"Robot{number}_Odometry.dat", 3)
-    truth = _table(folder / f"Robot{number}_Groundtruth.dat", 4)
-    measured = _table(folder / f"Robot{number}_Measurement.dat", 4)
+    odometry = read_table(folder / f"Robot{number}_Odometry.dat", 3)
+    truth = read_table(folder / f"Robot{number}_Groundtruth.dat", 4)
+    measured = read_table(folder / f"Robot{number}_Measurement.dat", 4)
     stamps, last = _distinct(_nanoseconds(odometry[:, 0]))
     true_stamps, true_last = _distinct(_nanoseconds(truth[:, 0]))
     seen = np.array([subjects.get(int(barcode), -1) for barcode in measured[:, 1]], np.int64)
@@ -114,38 +114,3 @@ def _distinct(stamps_ns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Each stamp once, ascending, and the last row that has it."""
     stamps, from_end = np.unique(stamps_ns[::-1], return_index=True)
     return stamps, len(stamps_ns) - 1 - from_end
-
-
-def _table(path: Path, columns: int) -> np.ndarray:
-    """(n, columns) float64: the numbers of a text file."""
-    try:
-        text = path.read_text()
-    except OSError as error:
-        raise InputError(
-            f"{path}: {error.strerror}; name the folder of a whole recording"
-        ) from None
-    except UnicodeDecodeError:
-        raise InputError(f"{path} is no text file; unpack the recording again") from None
-    lines = enumerate(text.splitlines(), start=1)
-    rows = [
-        _numbers(line, columns, path, number)
-        for number, line in lines
-        if line.strip() and not line.startswith("#")
-    ]
-    if not rows:
-        raise InputError(f"{path} holds no numbers; unpack the recording again")
-    return np.array(rows)
-
-
-def _numbers(line: str, columns: int, path: Path, number: int) -> list[float]:
-    words = line.split()
-    try:
-        values = [float(word) for word in words]
-    except ValueError:
-        values = []
-    if len(values) != columns or not all(map(math.isfinite, values)):
-        raise InputError(
-            f"{path}, line {number}: {line.strip()!r} is not {columns} finite numbers; "
-            "correct or remove the line"
-        )
-    return values
