@@ -6,12 +6,40 @@ that were hardly ever seen again are forgotten, and where there are too many, th
 most better ones around them. What they said of the paths stays; they leave the map.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from multi_robot_slam.filter.settings import RejuvenationSettings
+from multi_robot_slam.models.frames import Record
 
 NEIGHBOURHOOD_M = 2.0
 """Side of the cells in each of which as many landmarks are kept; a view has a dozen."""
+
+PATIENCE = 10
+"""Frames of its robot after which a landmark that was seen once is taken for a chance find."""
+
+NOTHING = -1
+"""Identity of an observation of nothing that will be seen again."""
+
+
+def without_chance_finds(
+    records: Sequence[Record], identities: Sequence[np.ndarray], known: np.ndarray
+) -> list[np.ndarray]:
+    """`identities` (B,) of each record, `NOTHING` for landmarks that were seen once, and long ago.
+
+    One observation says nothing of the pose that it was made from. Landmarks among the ids `known`
+    were seen in earlier frames, too.
+    """
+    ids, counts = np.unique(np.concatenate([*identities, known]), return_counts=True)
+    robots = np.array([record.robot for record in records])
+    is_old = np.zeros(len(records), bool)
+    for robot in np.unique(robots):
+        is_old[np.flatnonzero(robots == robot)[:-PATIENCE]] = True
+    return [
+        np.where(old & (counts[np.searchsorted(ids, own)] == 1), NOTHING, own)
+        for old, own in zip(is_old, identities, strict=True)
+    ]
 
 
 def forgotten(

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from multi_robot_slam.filter import resampling
+from multi_robot_slam.filter.forgetting import without_chance_finds
 from multi_robot_slam.filter.history import Past, Record, signature_of
 from multi_robot_slam.filter.settings import FilterSettings, threads
 from multi_robot_slam.filter.snapshot import Snapshot
@@ -139,6 +140,8 @@ def _smooth(
     settings: FilterSettings,
 ) -> tuple[Problem, Smoothed, Aliases]:
     """Smooth, and join landmarks that turn out to be one."""
+    if settings.rejuvenation.least_seen > 1:
+        identities = without_chance_finds(records, identities, old.prior.ids)
     also = _nearby(old, records, identities, alike)
     covariances = None
     if settings.noise_at == "landmark":

@@ -169,6 +169,7 @@ def _without_centre(
     )
     leaving = np.concatenate([np.empty(0, np.int64), *identities[:settle]])
     ids = np.union1d(largest.prior.ids, leaving) if settle else leaving
+    ids = ids[np.isin(ids, largest.ids)]
     places = largest.planes[np.searchsorted(largest.ids, ids), :3, 0].astype(float)
     return forgotten(ids, places, seen.of_ids(ids)[0], settings.rejuvenation)
 

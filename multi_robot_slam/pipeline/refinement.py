@@ -102,13 +102,14 @@ def refine(lineage: Lineage, landmarks: LandmarkMap, config: Config) -> Refined:
         return Refined({}, landmarks)
     records = [record for record, _ in lineage]
     poses = np.array([record.poses[:, row] for record, row in lineage])
-    seen = [np.searchsorted(landmarks.ids, record.matches[:, row]) for record, row in lineage]
+    seen = [record.matches[:, row] for record, row in lineage]
     settings, scales = config.filter, _scales(config)
-    alike = joining.alike(landmarks.descriptors, settings.descriptor_gate)
+    alike = landmarks.ids[joining.alike(landmarks.descriptors, settings.descriptor_gate)]
+    alike = alike.astype(np.int64)
 
     def smoothed_with(aliases: Aliases, poses: np.ndarray) -> tuple[Problem, Smoothed]:
         nonlocal scales
-        identities = [aliases.of(rows) for rows in seen]
+        identities = [aliases.of(ids) for ids in seen]
         problem, smoothed, scales = _smooth(
             records, identities, poses, scales, settings.robust_above, config
         )

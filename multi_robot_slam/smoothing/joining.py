@@ -18,6 +18,13 @@ from multi_robot_slam.smoothing.problem import Problem
 from multi_robot_slam.smoothing.solve import Smoothed, SmoothingError
 
 
+AT_A_TIME = 512
+"""Pairs whose joint covariances are looked at together: some 10 MB."""
+
+SOME_POSES = 16
+"""Of which the least certain stands for all, with twice its variance."""
+
+
 def alike(descriptors: np.ndarray, threshold: float) -> np.ndarray:
     """(A, 2) rows of descriptors with E <= `threshold`, the smaller row first."""
     distances = squared_distances(descriptors, descriptors)
@@ -72,17 +79,25 @@ def closest_pairs(
 
     With `exclusive` no two that some frame has seen both.
     """
+    limit = widened_gate(gate, len(problem.positions))
+    if exclusive:
+        pairs = pairs[~_seen_together(problem, pairs)]
+    pairs = pairs[_may_be_within(problem, smoothed, pairs, limit)]
     if not len(pairs):
         return pairs
-    distances = _mahalanobis_sq(problem, smoothed, pairs)
-    limit = widened_gate(gate, len(problem.positions))
+    distances = np.concatenate(
+        [
+            _mahalanobis_sq(problem, smoothed, pairs[start : start + AT_A_TIME])
+            for start in range(0, len(pairs), AT_A_TIME)
+        ]
+    )
     chosen: list[np.ndarray] = []
     taken: set[int] = set()
     for row in np.argsort(distances, kind="stable"):
         pair = pairs[row]
         if not distances[row] <= limit:
             break
-        if taken.isdisjoint(pair.tolist()) and not (exclusive and _seen_together(problem, *pair)):
+        if taken.isdisjoint(pair.tolist()):
             chosen.append(pair)
             taken.update(pair.tolist())
     return np.array(chosen, int).reshape(-1, 2)
@@ -113,7 +128,46 @@ def _mahalanobis_sq(problem: Problem, smoothed: Smoothed, pairs: np.ndarray) -> 
     return np.einsum("ai,ai->a", apart, solved)
 
 
-def _seen_together(problem: Problem, one: int, other: int) -> bool:
-    """Some frame has observations of both: they are two. Frames that have left do not testify."""
-    first, second = (problem.seen_from[slice(*problem.starts[n : n + 2])] for n in (one, other))
-    return bool(len(np.intersect1d(first, second)))
+def _may_be_within(
+    problem: Problem, smoothed: Smoothed, pairs: np.ndarray, limit: float
+) -> np.ndarray:
+    """(A,) bool: D of the pair may be within `limit`; found without their joint covariance.
+
+    D is no less than the squared distance over the trace of the covariance. A landmark's own is at
+    most that given poses and centres, and what the least certain pose moves it, at its range.
+    """
+    if not len(pairs):
+        return np.empty(0, bool)
+    place, yaw = _least_certain(problem, smoothed)
+    range_sq = np.full(len(problem.ids), np.inf)
+    np.minimum.at(range_sq, problem.landmarks, np.sum(problem.positions[:, :2] ** 2, axis=1))
+    own = smoothed.landmarks[:, [3, 6, 8]].sum(axis=1) + 2 * (place + range_sq * yaw)
+    apart = smoothed.landmarks[pairs[:, 0], :3] - smoothed.landmarks[pairs[:, 1], :3]
+    return np.sum(apart**2, axis=1) <= 2 * limit * own[pairs].sum(axis=1)
+
+
+def _least_certain(problem: Problem, smoothed: Smoothed) -> tuple[float, float]:
+    """Largest variance of a pose's place [m^2] and of its yaw [rad^2], of some along the paths."""
+    some = np.unique(np.linspace(0, problem.poses - 1, SOME_POSES).astype(int))
+    rows = 3 * some[:, None] + np.arange(3)
+    unit = np.zeros((smoothed.factor.size, rows.size))
+    unit[rows.ravel(), np.arange(rows.size)] = 1
+    variances = np.sum(smoothed.factor.solve_lower(unit) ** 2, axis=0).reshape(-1, 3)
+    return float(variances[:, :2].sum(axis=1).max()), float(variances[:, 2].max())
+
+
+def _seen_together(problem: Problem, pairs: np.ndarray) -> np.ndarray:
+    """(A,) bool: some frame has observations of both: they are two.
+
+    Frames that have left do not testify.
+    """
+    wanted, places = np.unique(pairs, return_inverse=True)
+    places = places.reshape(-1, 2)
+    row_of = np.full(len(problem.ids), -1)
+    row_of[wanted] = np.arange(len(wanted))
+    rows = row_of[problem.landmarks]
+    known = (rows >= 0) & (problem.seen_from < problem.poses)
+    seen = np.zeros((len(wanted), problem.poses), bool)
+    seen[rows[known], problem.seen_from[known]] = True
+    packed = np.packbits(seen, axis=1)
+    return (packed[places[:, 0]] & packed[places[:, 1]]).any(axis=1)
