@@ -1,55 +1,64 @@
-"""Keypoints of one image, and their descriptors."""
+"""Keypoints of one image, and which of them are kept."""
+
+from __future__ import annotations
 
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
+from msg_defs.types import DESCRIPTOR_SIZE
 from multi_robot_slam.front_end.settings import FeatureSettings
 
 
 @dataclass(frozen=True, eq=False)
 class Keypoints:
-    """SIFT keypoints of one image, strongest first."""
+    """SIFT keypoints of one image, the strongest first, no two at one place."""
 
     pixels: np.ndarray
     """(n, 2) float64: column and row [px]."""
     sizes: np.ndarray
     """(n,) float64: diameter [px]."""
-    strengths: np.ndarray
-    """(n,) float64: contrast."""
     descriptors: np.ndarray
-    """(n, 128) float32, unit norm."""
+    """(n, 128) float32, unit norm: the root of SIFT's histograms (Arandjelovic, Zisserman, 2012)."""
+
+    @classmethod
+    def of(cls, image: np.ndarray, settings: FeatureSettings) -> Keypoints:
+        """Those of a grey image (H, W) uint8; none in a flat one.
+
+        Where one has several orientations, the smallest angle counts: cameras on the ground stay
+        upright. OpenCV's own keypoints lie a quarter of a pixel off; `enable_precise_upscale`
+        mends that.
+        """
+        sift = cv2.SIFT.create(
+            nfeatures=settings.features,
+            contrastThreshold=settings.contrast_threshold,
+            enable_precise_upscale=True,
+        )
+        found, descriptors = sift.detectAndCompute(image, None)
+        if not found:
+            return cls(np.empty((0, 2)), np.empty(0), np.empty((0, DESCRIPTOR_SIZE), np.float32))
+        table = np.array([(*k.pt, k.size, k.angle, k.response) for k in found])
+        order = np.lexsort((table[:, 3], table[:, 2], table[:, 1], table[:, 0], -table[:, 4]))
+        places = table[order, :3]
+        order = order[np.append(True, (places[1:] != places[:-1]).any(axis=1))]
+        shares = descriptors / descriptors.sum(axis=1, keepdims=True)
+        return cls(table[order, :2], table[order, 2], np.sqrt(shares)[order])
 
 
-def keypoints(image: np.ndarray, settings: FeatureSettings) -> Keypoints:
-    """SIFT keypoints of a grey image (H, W) uint8; none in a flat one."""
-    sift = cv2.SIFT_create(
-        nfeatures=settings.features,
-        contrastThreshold=settings.contrast_threshold,
-        enable_precise_upscale=True,
-    )
-    found, descriptors = sift.detectAndCompute(image, None)
-    if not found:
-        return Keypoints(np.empty((0, 2)), np.empty(0), np.empty(0), np.empty((0, 128), np.float32))
-    raw = np.array([(*point.pt, point.size, point.response) for point in found])
-    order = np.lexsort((raw[:, 0], raw[:, 1], -raw[:, 3]))
-    raw, descriptors = raw[order], descriptors[order]
-    norms = np.linalg.norm(descriptors, axis=1, keepdims=True)
-    return Keypoints(raw[:, :2], raw[:, 2], raw[:, 3], descriptors / norms)
-
-
-def spread(pixels: np.ndarray, shape: tuple[int, int], most: int) -> np.ndarray:
+def spread(pixels: np.ndarray, shape: tuple[int, ...], most: int) -> np.ndarray:
     """Rows of `pixels` (n, 2), strongest first, that are kept: at most `most`, all over the image.
 
-    The image of `shape` (H, W) is cut into about `most` square cells. Of each the strongest is kept
-    before the second of any is.
+    The image of `shape` (H, W) is cut into about `most` square cells. The strongest of every cell
+    comes before the second of any.
     """
     side = np.sqrt(shape[0] * shape[1] / most)
     columns = int(np.ceil(shape[1] / side))
-    cells = (pixels[:, 1] // side).astype(int) * columns + (pixels[:, 0] // side).astype(int)
+    column, row = (pixels // side).astype(int).T
+    cells = row * columns + column
     order = np.argsort(cells, kind="stable")
     starts = np.flatnonzero(np.diff(cells[order], prepend=-1))
-    ranks = np.empty(len(pixels), int)
-    ranks[order] = np.arange(len(pixels)) - np.repeat(starts, np.diff(starts, append=len(pixels)))
-    return np.sort(np.lexsort((np.arange(len(pixels)), ranks))[:most])
+    lengths = np.diff(starts, append=len(cells))
+    ranks = np.empty(len(cells), int)
+    ranks[order] = np.arange(len(cells)) - np.repeat(starts, lengths)
+    return np.sort(np.argsort(ranks, kind="stable")[:most])

@@ -7,7 +7,6 @@ from annotated_types import Ge, Gt, Interval
 
 from msg_defs.types import settings
 
-
 DESCRIPTOR_GATE = 0.25
 """E_0 for descriptors of real pictures, where the filter's default is for simulated ones."""
 
