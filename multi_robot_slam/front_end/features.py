@@ -62,3 +62,19 @@ def spread(pixels: np.ndarray, shape: tuple[int, ...], most: int) -> np.ndarray:
     ranks = np.empty(len(cells), int)
     ranks[order] = np.arange(len(cells)) - np.repeat(starts, lengths)
     return np.sort(np.argsort(ranks, kind="stable")[:most])
+
+
+APART_PX = 5.0
+"""Keypoints nearer to each other are one thing, in several sizes."""
+
+
+def distinct(found: Keypoints, rows: np.ndarray, least: float) -> np.ndarray:
+    """(len(rows),) bool: E (19) of the keypoint to any other of the image is `least` or more.
+
+    What looks the same twice in one image, as repeated texture does, would be taken for each other
+    in the map.
+    """
+    distances = 2 - 2 * found.descriptors[rows] @ found.descriptors.T
+    column, row = (found.pixels[rows, None] - found.pixels[None]).transpose(2, 0, 1)
+    distances[column**2 + row**2 < APART_PX**2] = np.inf
+    return distances.min(axis=1, initial=np.inf) >= least

@@ -10,7 +10,7 @@ import numpy as np
 from multi_robot_slam.front_end import kernels
 from multi_robot_slam.front_end.covariance import pixel_sigmas, propagated
 from multi_robot_slam.front_end.disparity import Search, refined, searched
-from multi_robot_slam.front_end.features import Keypoints, spread
+from multi_robot_slam.front_end.features import Keypoints, distinct, spread
 from multi_robot_slam.front_end.rig import StereoRig
 from multi_robot_slam.front_end.settings import CameraSettings, FeatureSettings
 
@@ -36,6 +36,8 @@ class Counts:
     """The disparity depends on the window that is compared: an edge in depth, or no texture."""
     far: int
     """Farther than `farthest_m`, or too far for the disparity to tell the depth."""
+    repeated: int
+    """Looks like another point of the image."""
     surplus: int
     """Good, but more than `observations`."""
     kept: int
@@ -84,7 +86,8 @@ class FrontEnd:
         farthest_px = self.rig.focal_px * self.rig.baseline_m / settings.farthest_m
         is_near = pixels[:, 2] > np.maximum(farthest_px, sigmas[:, 2] / WORST_DISPARITY)
         near = np.flatnonzero(is_near)
-        kept = near[spread(pixels[near, :2], left.shape, settings.observations)]
+        alone = near[distinct(found, steady[near], settings.distinct)]
+        kept = alone[spread(pixels[alone, :2], left.shape, settings.observations)]
         return Seen(
             positions=self.rig.point(*pixels[kept].T).astype(np.float32),
             covariances=propagated(self.rig, pixels[kept], sigmas[kept]).astype(np.float32),
@@ -95,7 +98,8 @@ class FrontEnd:
                 *np.bincount(fates, minlength=kernels.FOUND)[: kernels.FOUND].tolist(),
                 len(matched) - len(steady),
                 len(steady) - len(near),
-                len(near) - len(kept),
+                len(near) - len(alone),
+                len(alone) - len(kept),
                 len(kept),
             ),
         )

@@ -28,8 +28,11 @@ class FeatureSettings:
     correlation: Annotated[
         float, Interval(ge=0, lt=1), "least normalised cross-correlation of left and right"
     ] = 0.8
+    distinct: Annotated[
+        float, Ge(0), "least squared distance of a point's descriptor from all others of its image"
+    ] = 0.15
     sigma_px: Annotated[float, Gt(0), "standard deviation of row and column [px]"] = 0.3
-    sigma_disparity_px: Annotated[float, Gt(0), "standard deviation of the disparity [px]"] = 0.2
+    sigma_disparity_px: Annotated[float, Gt(0), "standard deviation of the disparity [px]"] = 0.06
 
 
 @settings

@@ -20,7 +20,7 @@ from multi_robot_slam.datasets.stereo_recording import StereoPairs, StereoRecord
 from multi_robot_slam.front_end.front_end import FrontEnd, Seen
 from multi_robot_slam.front_end.rig import StereoRig
 from multi_robot_slam.front_end.settings import CameraSettings
-from multi_robot_slam.models.symmetric import unpack
+from multi_robot_slam.models.symmetric import inverses, pack, unpack
 
 GATE = 11.345
 """D_0: 99 % of chi-squared with three degrees of freedom."""
@@ -39,11 +39,14 @@ class PoseSigma:
 
 EUROC_TRUTH = PoseSigma(0.006, 0.0022)
 KITTI_TRUTH = PoseSigma(0.015, 0.0006)
-"""What the two recordings' truth is in error for one frame: what is left of poses between two frames
-that several hundred points each were fitted to, over the root of two."""
+"""How far the two recordings' truth is off for one frame: what is left between the true motion of
+two frames and the one fitted to their several hundred common points, over the root of two."""
 
-AT_A_LOOP = PoseSigma(0.1, 0.02)
+AT_A_LOOP = PoseSigma(0.05, 0.01)
 """How well a robot knows its pose when it comes back."""
+
+ONE_PLACE = 16.27
+"""D up to which two observations of one landmark are told from two landmarks: 99.9 %."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,17 +83,22 @@ def views(recording: StereoRecording, settings: CameraSettings) -> Iterator[View
         )
 
 
-def overlapping(
-    views: Sequence[View], rig: StereoRig, apart_s: float, share: float = 0.3
-) -> list[tuple[View, View]]:
-    """Pairs of views at least `apart_s` apart, of which `share` of each one's points is in sight."""
-    pairs = []
-    for first, second in combinations(views, 2):
-        if abs(second.stamp_s - first.stamp_s) < apart_s:
-            continue
-        if min(_in_sight(first, second, rig), _in_sight(second, first, rig)) >= share:
-            pairs.append((first, second))
-    return pairs
+OVERLAP = 0.5
+"""Share of the points of either view that the other one must have in sight."""
+
+LARGEST_TURN = np.radians(30)
+"""Between the two optical axes: SIFT does not find again what is seen from another side."""
+
+
+def overlapping(views: Sequence[View], rig: StereoRig, apart_s: float) -> list[tuple[View, View]]:
+    """Pairs of views of one place, at least `apart_s` apart."""
+    return [
+        (first, second)
+        for first, second in combinations(views, 2)
+        if second.stamp_s - first.stamp_s >= apart_s
+        and first.rotation[:, 2] @ second.rotation[:, 2] >= np.cos(LARGEST_TURN)
+        and min(_in_sight(first, second, rig), _in_sight(second, first, rig)) >= OVERLAP
+    ]
 
 
 def _in_sight(view: View, other: View, rig: StereoRig) -> float:
@@ -126,9 +134,9 @@ def compared(first: View, second: View, poses: PoseSigma) -> Compared:
     of_first = turn @ unpack(first.seen.covariances) @ turn.T + _of_poses(points, poses)
     total = of_first[:, None] + unpack(second.seen.covariances)[None]
     difference = second.seen.positions[None] - points[:, None]
-    solved = np.linalg.solve(total, difference[..., None])[..., 0]
+    information = unpack(inverses(pack(total).reshape(-1, 6))).reshape(total.shape)
     return Compared(
-        mahalanobis_sq=(difference * solved).sum(axis=-1),
+        mahalanobis_sq=np.einsum("abi,abij,abj->ab", difference, information, difference),
         descriptor_sq=np.maximum(2 - 2 * first.seen.descriptors @ second.seen.descriptors.T, 0),
     )
 
@@ -237,7 +245,7 @@ def revisited(
     for first, second in pairs:
         exact = compared(first, second, truth)
         found = matches(compared(first, second, pose), gate, within=GATE)
-        is_right = exact.mahalanobis_sq[*found.T] <= 1.5 * GATE
+        is_right = exact.mahalanobis_sq[*found.T] <= ONE_PLACE
         matched += len(found)
         right += int(is_right.sum())
         again += int(exact.same.sum())
@@ -280,7 +288,7 @@ def descriptor_spread(
     for first, second in pairs:
         exact, loose = compared(first, second, truth), compared(first, second, pose)
         equal.append(exact.descriptor_sq[exact.same])
-        is_other = (loose.mahalanobis_sq <= GATE) & (exact.mahalanobis_sq > 1.5 * GATE)
+        is_other = (loose.mahalanobis_sq <= GATE) & (exact.mahalanobis_sq > ONE_PLACE)
         if is_other.size:
             nearest = np.where(is_other, exact.descriptor_sq, np.inf).min(axis=0)
             different.append(nearest[np.isfinite(nearest)])
@@ -318,6 +326,9 @@ TRIALS = 300
 
 LEAST_INLIERS = 12
 
+CLOSE_PX = np.array([4.0, 4.0, 2.0])
+"""Column, row and disparity of a point that agrees with a motion of three others."""
+
 HUBER = 2.0
 """Standard deviations from which on a point's weight falls."""
 
@@ -335,9 +346,8 @@ def estimated_motion(
         return None
     source = first.seen.positions[rows[:, 0]].astype(float)
     target = second.seen.pixels[rows[:, 1]]
-    information = np.linalg.inv(_pixel_covariances(second.seen, rig)[rows[:, 1]])
-    motion = _sampled(source, target, information, rig)
-    if motion is None or motion.inliers < LEAST_INLIERS:
+    motion = _sampled(source, target, rig)
+    if motion.inliers < LEAST_INLIERS:
         return None
     of_source = unpack(first.seen.covariances)[rows[:, 0]]
     of_target = _pixel_covariances(second.seen, rig)[rows[:, 1]]
@@ -375,31 +385,28 @@ def _pixel_slope(points: np.ndarray, rig: StereoRig) -> np.ndarray:
     return slope
 
 
-def _sampled(
-    source: np.ndarray, target: np.ndarray, information: np.ndarray, rig: StereoRig
-) -> Motion | None:
+def _sampled(source: np.ndarray, target: np.ndarray, rig: StereoRig) -> Motion:
     """The best of many motions of three points each; the same of the same points."""
     places = rig.point(*target.T)
     random = np.random.default_rng(0)
-    best = None
-    for _ in range(TRIALS):
-        three = random.choice(len(source), 3, replace=False)
-        turn, shift = _rigid(source[three], places[three])
-        moved = source @ turn.T + shift
-        with np.errstate(divide="ignore", invalid="ignore"):
-            error = target - rig.pixel(moved)
-        inside = (np.abs(error) < [4.0, 4.0, 2.0]).all(axis=1) & (moved[:, 2] > 0)
-        if best is None or inside.sum() > best.inliers:
-            best = Motion(turn, shift, int(inside.sum()))
-    return best
+    three = random.random((TRIALS, len(source))).argpartition(3, axis=1)[:, :3]
+    turns, shifts = _rigid(source[three], places[three])
+    moved = source @ np.swapaxes(turns, 1, 2) + shifts[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        error = target - rig.pixel(moved)
+    inside = ((np.abs(error) < CLOSE_PX).all(axis=2) & (moved[..., 2] > 0)).sum(axis=1)
+    best = int(inside.argmax())
+    return Motion(turns[best], shifts[best], int(inside[best]))
 
 
 def _rigid(source: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """R and t that bring `source` (n, 3) closest to `target` (n, 3) (Umeyama, without scale)."""
-    centres = source.mean(axis=0), target.mean(axis=0)
-    left, _, right = np.linalg.svd((target - centres[1]).T @ (source - centres[0]))
-    turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
-    return turn, centres[1] - turn @ centres[0]
+    """R (T, 3, 3), t (T, 3) that bring `source` (T, n, 3) closest to `target`, without scale."""
+    middle, end = source.mean(axis=1, keepdims=True), target.mean(axis=1, keepdims=True)
+    left, _, right = np.linalg.svd(np.swapaxes(target - end, 1, 2) @ (source - middle))
+    signs = np.ones((len(source), 1, 3))
+    signs[:, 0, 2] = np.linalg.det(left @ right)
+    turn = left * signs @ right
+    return turn, (end - middle @ np.swapaxes(turn, 1, 2))[:, 0]
 
 
 def _refined(
