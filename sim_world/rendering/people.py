@@ -17,7 +17,7 @@ STRIDE_M = 1.4
 PHASES = 4
 """Pictures of a person, from one step to the next but one."""
 SPEED_M_S = (0.8, 1.5)
-ASIDE_M = (0.5, 0.9)
+ASIDE_M = (0.45, 0.7)
 """Beside the middle of the tour, where robots drive."""
 NEAREST_M = 0.3
 """Nearer than this to the camera nobody is seen."""
@@ -130,9 +130,11 @@ def _outline(rows: int, columns: int, phase: int) -> np.ndarray:
         mask, (middle, int(0.075 * rows)), (columns // 9, int(0.07 * rows)), 0, 0, 360, 255, -1
     )
     broad, slim = int(0.27 * columns), int(0.2 * columns)
+    neck, armpit = int(0.16 * rows), int(0.22 * rows)
     trunk = [
-        *((middle - broad, shoulder), (middle + broad, shoulder)),
-        *((middle + slim, hip), (middle - slim, hip)),
+        *((middle - slim // 2, neck), (middle + slim // 2, neck)),
+        *((middle + broad, armpit), (middle + slim, hip), (middle - slim, hip)),
+        (middle - broad, armpit),
     ]
     cv2.fillPoly(mask, [np.array(trunk, np.int32)], 255)
     cv2.line(mask, (middle, int(0.12 * rows)), (middle, shoulder), 255, columns // 10)

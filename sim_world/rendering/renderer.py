@@ -124,7 +124,7 @@ class Renderer:
     def _backdrop(self, view: View) -> np.ndarray:
         """(height,) float32: floor and ceiling, lighter the nearer they are."""
         slopes = (np.arange(self._camera.height_px) - view.centre[1]) / view.focal_px
-        return np.where(slopes < 0, 170 - 80 * slopes, 80 + 60 * slopes).clip(0, 255).astype("f4")
+        return np.where(slopes < 0, 180 - 60 * slopes, 85 + 70 * slopes).clip(0, 255).astype("f4")
 
     def _read_out(self, light: np.ndarray, true: PoseSample, side: int) -> np.ndarray:
         images, robot = self._images, self._names.index(true.robot)

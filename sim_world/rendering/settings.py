@@ -26,7 +26,6 @@ class WallSettings:
         Interval(ge=0, le=1),
         "share of the walls' length in stretches where there is nothing to see; realistic: 0.3",
     ] = 0.0
-    texel_m: Annotated[float, Interval(ge=0.002, le=0.1), "size of the smallest detail [m]"] = 0.004
 
 
 @settings

@@ -15,6 +15,8 @@ from msg_defs.types import Walls
 from sim_world.rendering.pictures import KINDS, Kind, fractal
 from sim_world.rendering.settings import WallSettings
 
+TEXEL_M = 0.004
+"""Size of the smallest detail [m]; a pixel covers as much at 2 m."""
 BAY_M = (3.0, 7.0)
 """Length of a bay [m]."""
 SKIRTING_M = 0.1
@@ -44,7 +46,7 @@ class Textures:
         return self.texels[first : first + self.counts[wall]].T
 
 
-def blank(walls: Walls, texel_m: float) -> Textures:
+def blank(walls: Walls, texel_m: float = TEXEL_M) -> Textures:
     """Black walls, in texels of `texel_m` or, so that they fill each wall, a little else."""
     lengths = np.hypot(*(walls.segments[:, 2:] - walls.segments[:, :2]).T)
     counts = np.maximum(1, np.rint(lengths / texel_m)).astype(np.int64)
@@ -54,11 +56,11 @@ def blank(walls: Walls, texel_m: float) -> Textures:
 
 
 def paint(walls: Walls, settings: WallSettings, seed: np.random.SeedSequence) -> Textures:
-    """The walls as `settings` and `seed` have it."""
-    textures = blank(walls, settings.texel_m)
+    """Walls of the building's height as `settings` and `seed` have them."""
+    textures = blank(walls)
     of_designs, *of_walls = seed.spawn(1 + len(walls.segments))
     rng = np.random.default_rng(of_designs)
-    designs = [_Thing.drawn(rng, rng, settings.texel_m) for _ in range(settings.designs)]
+    designs = [_Thing.drawn(rng, rng) for _ in range(settings.designs)]
     for wall, own in enumerate(of_walls):
         canvas = _painted(textures.of(wall).shape, settings, designs, own)
         textures.of(wall)[:] = np.clip(np.rint(canvas), 0, 255)
@@ -73,22 +75,19 @@ class _Thing:
     picture: np.ndarray
 
     @classmethod
-    def drawn(
-        cls, choice: np.random.Generator, content: np.random.Generator, texel_m: float
-    ) -> "_Thing":
+    def drawn(cls, choice: np.random.Generator, content: np.random.Generator) -> "_Thing":
         kind = KINDS[choice.integers(len(KINDS))]
         height, width = (
-            max(round(choice.uniform(*range_m) / texel_m), 24)
-            for range_m in (kind.heights_m, kind.widths_m)
+            round(choice.uniform(*range_m) / TEXEL_M) for range_m in (kind.heights_m, kind.widths_m)
         )
         return cls(kind, kind.draw(content, height, width))
 
-    def top(self, rows: int, texel_m: float) -> int:
+    def top(self, rows: int) -> int:
         """Row of its upper edge on a wall of so many rows."""
         height = len(self.picture)
         if self.kind.middle_m is None:
-            return max(rows - height, 0)
-        return max(rows - round(self.kind.middle_m / texel_m) - height // 2, 0)
+            return rows - height
+        return rows - round(self.kind.middle_m / TEXEL_M) - height // 2
 
 
 def _painted(
@@ -101,7 +100,7 @@ def _painted(
     rows, columns = shape
     canvas = np.empty((rows, columns), np.float32)
     of_layout, of_bays = seed.spawn(2)
-    bays = _bays(columns, settings.texel_m, np.random.default_rng(of_layout))
+    bays = _bays(columns, np.random.default_rng(of_layout))
     for (begin, end), own in zip(bays, of_bays.spawn(len(bays)), strict=True):
         _paint_bay(canvas[:, begin:end], settings, designs, own)
     return canvas
@@ -113,21 +112,21 @@ def _paint_bay(
     """Paint one bay (R, C), in place."""
     looks, choice, content = (np.random.default_rng(s) for s in seed.spawn(3))
     is_plain = looks.random() < settings.plain
-    shade = looks.uniform(120, 200)
+    shade = looks.uniform(135, 215)
     material = MATERIALS[looks.integers(len(MATERIALS))]
     bay[:] = shade if is_plain else shade + material(looks, *bay.shape)
     bay *= np.linspace(1.05, 0.85, len(bay), dtype=np.float32)[:, None]
-    bay[-max(1, round(SKIRTING_M / settings.texel_m)) :] = 0.4 * shade
+    bay[-max(1, round(SKIRTING_M / TEXEL_M)) :] = 0.4 * shade
     if not is_plain and settings.posters_per_m:
         _hang(bay, settings, designs, choice, content)
 
 
-def _bays(columns: int, texel_m: float, rng: np.random.Generator) -> list[tuple[int, int]]:
+def _bays(columns: int, rng: np.random.Generator) -> list[tuple[int, int]]:
     """Where each bay of a wall begins and ends."""
     ends = [0]
     while ends[-1] < columns:
-        end = ends[-1] + round(rng.uniform(*BAY_M) / texel_m)
-        ends.append(end if columns - end > BAY_M[0] / texel_m else columns)
+        end = ends[-1] + round(rng.uniform(*BAY_M) / TEXEL_M)
+        ends.append(end if columns - end > BAY_M[0] / TEXEL_M else columns)
     return list(pairwise(ends))
 
 
@@ -139,21 +138,19 @@ def _hang(
     content: np.random.Generator,
 ) -> None:
     """Hang things on a bay, from left to right, in place."""
-    texel_m = settings.texel_m
     rows, columns = bay.shape
     at = 0
     while True:
-        own = _Thing.drawn(choice, content, texel_m)
-        is_copy, which = choice.random() < settings.repeated, choice.integers(len(designs))
-        thing = designs[which] if is_copy else own
-        spare_m = 1 / settings.posters_per_m - own.picture.shape[1] * texel_m
-        at += round(max(choice.uniform(0, 2 * max(spare_m, 0)), LEAST_GAP_M) / texel_m)
-        if at + max(thing.picture.shape[1], own.picture.shape[1]) > columns:
+        own, copy = _Thing.drawn(choice, content), designs[choice.integers(len(designs))]
+        thing = copy if choice.random() < settings.repeated else own
+        room = max(own.picture.shape[1], copy.picture.shape[1])
+        spare_m = max(1 / settings.posters_per_m - room * TEXEL_M, 0)
+        at += round(max(choice.uniform(0, 2 * spare_m), LEAST_GAP_M) / TEXEL_M)
+        if at + room > columns:
             return
-        top = thing.top(rows, texel_m)
-        height, width = thing.picture[: rows - top].shape
-        bay[top : top + height, at : at + width] = thing.picture[:height]
-        at += own.picture.shape[1]
+        top, (height, width) = thing.top(rows), thing.picture.shape
+        bay[top : top + height, at : at + width] = thing.picture
+        at += room
 
 
 def _plaster(rng: np.random.Generator, height: int, width: int) -> np.ndarray:
