@@ -4,11 +4,13 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from msg_defs.types import CameraMount
+from msg_defs.types import CameraMount, StereoCamera
+from multi_robot_slam.front_end.rig import StereoRig
 from multi_robot_slam.models import motion
 from multi_robot_slam.models import stereo as estimated
 from sim_world import planar, robot
 from sim_world import stereo as simulated
+from sim_world.messages import camera_infos
 from sim_world.scenario import OdometryNoise, Scenario
 
 coordinates = st.floats(-30, 30)
@@ -23,6 +25,15 @@ def test_the_filter_puts_a_point_where_the_simulator_saw_it(pose, point, mount):
     seen = simulated.camera_from_map(point[None], pose, mount)
     body, _ = estimated.to_body(seen, np.zeros((1, 6)), mount)
     np.testing.assert_allclose(estimated.to_map(pose, body)[0], point, atol=1e-9)
+
+
+@given(st.tuples(st.floats(-5, 5), st.floats(-5, 5), st.floats(0.5, 30)).map(np.array))
+def test_the_front_end_puts_a_pixel_where_the_simulator_saw_its_point(point):
+    """By way of the calibration that goes with the pictures."""
+    camera = StereoCamera()
+    rig = StereoRig.of(*camera_infos("robot_1", 0, camera), rectify=False)
+    row, column, disparity = simulated.project(point[None], camera).T
+    np.testing.assert_allclose(rig.point(column, row, disparity)[0], point, atol=1e-9)
 
 
 @given(poses, poses)

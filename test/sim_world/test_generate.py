@@ -12,7 +12,7 @@ from msg_defs import scenario_file, topics, wire
 from multi_robot_slam import runs
 from multi_robot_slam.bags import BagReader
 from multi_robot_slam.config import SECTION, Config
-from sim_world import cli, trajectories
+from sim_world import cli, messages, trajectories
 from sim_world.scenario import SECTION as WORLD_SECTION
 from sim_world.scenario import Scenario
 from sim_world.simulator import Simulation
@@ -157,6 +157,64 @@ def test_a_drive_of_a_year_is_not_made_before_it_is_driven():
     assert len(drive) == 150_000_001
     begin = np.array([*islice(drive, 301)])
     np.testing.assert_array_equal(begin[:151], parts[1])
+
+
+WITH_PICTURES = SMALL.replace(
+    "observations: 5, camera: {", "camera: {width_px: 64, height_px: 48, focal_px: 50, "
+).replace("movements: 40", "movements: 6")
+
+
+def test_images_take_the_place_of_landmarks(generate, tmp_path):
+    (tmp_path / "small.yaml").write_text(WITH_PICTURES)
+    bag = generate("--images", "--seed", "3")
+    world, config = configurations(bag)
+    assert world.images.enabled
+    simulation = Simulation(world, 3)
+    say = messages.teller(simulation, "png")
+    expected = [
+        (f"/{topic.name}", step.odometry.stamp_ns, data)
+        for instant in simulation.steps()
+        for step in instant
+        for topic, data in say(step)
+    ]
+    written = [(record.topic, record.stamp_ns, record.data) for record in BagReader(bag)]
+    assert written[3:] == expected
+    latched = {topics.GROUND_TRUTH_WALLS, topics.WORLD_CONFIG, topics.FUSION_CONFIG}
+    assert {topic for topic, *_ in written[:3]} == {f"/{topic.name}" for topic in latched}
+    kinds = (topics.odometry, topics.ground_truth)
+    names = {f"/{kind(robot).name}" for robot in config.robots for kind in kinds}
+    for robot in config.robots:
+        for side in messages.SIDES:
+            names |= {f"/{robot}/{side}/camera_info", f"/{robot}/{side}/image_rect/compressed"}
+    assert {topic for topic, *_ in written[3:]} == names
+
+
+def test_the_same_seed_writes_the_same_pictures(generate, tmp_path):
+    scenario = WITH_PICTURES.replace(
+        "sim_world: {", "sim_world: {images: {enabled: true, read_noise: 2.0, people: 2}, "
+    )
+    (tmp_path / "small.yaml").write_text(scenario)
+    bags = [generate("--seed", "3", name=name) for name in ("one", "two")]
+    one, two = (list(BagReader(bag)) for bag in bags)
+    assert one == two
+
+
+def test_raw_pictures_are_written_where_the_scenario_says_so(generate, tmp_path):
+    scenario = WITH_PICTURES.replace("sim_world: {", "sim_world: {images: {transport: raw}, ")
+    (tmp_path / "small.yaml").write_text(scenario)
+    types = {topic.type for topic in BagReader(generate("--images")).summary.topics}
+    assert "sensor_msgs/msg/Image" in types
+    assert "sensor_msgs/msg/CompressedImage" not in types
+
+
+def test_a_camera_that_cannot_be_rendered_is_refused_and_leaves_nothing(program, tmp_path):
+    scenario = tmp_path / "tilted.yaml"
+    scenario.write_text("sim_world: {camera: {mount: {roll_rad: 0.1}}}")
+    options = ("--images", "--scenario", scenario, "--out", tmp_path / "bag")
+    code, _, err = program(cli, "generate", *options)
+    assert (code, err.count("\n")) == (2, 1)
+    assert "camera.mount.roll_rad = 0.1" in err
+    assert not (tmp_path / "bag").exists()
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,9 +9,12 @@ from typer.testing import CliRunner
 
 from msg_defs import scenario_file, topics, wire
 from msg_defs.errors import InputError
+from msg_defs.types import StereoCamera
 from multi_robot_slam.config import SECTION as ESTIMATE_SECTION
 from multi_robot_slam.config import Config
-from sim_world import cli
+from sim_world import cli, messages
+from sim_world.messages import SIDES
+from sim_world.rendering.settings import ImageSettings
 from sim_world.scenario import SECTION, Scenario
 from sim_world.simulator import Simulation
 
@@ -79,6 +83,111 @@ def test_the_world_is_latched():
     text = wire.decode_text(config)
     assert scenario_file.from_yaml(Scenario, text, SECTION) == SCENARIO
     assert "seed: 4" in text
+
+
+PICTURES = {
+    "images.enabled": "true",
+    "images.people": "3",
+    "images.read_noise": "2.0",
+    "camera.width_px": "64",
+    "camera.height_px": "48",
+    "camera.focal_px": "50.0",
+}
+WITH_PICTURES = [word for item in PICTURES.items() for word in ("-p", ":=".join(item))]
+
+
+def play_pictures(*arguments, listen_to):
+    """As `play`, heard reliably, since a test must not lose any."""
+    heard = play(*WITH_PICTURES, *arguments, listen_to=[_reliable(topic) for topic in listen_to])
+    return {topic: heard[_reliable(topic)] for topic in listen_to}
+
+
+def _reliable(topic):
+    return topic._replace(qos=topics.STREAM)
+
+
+def picture_scenario(transport="auto"):
+    images = ImageSettings(enabled=True, people=3, read_noise=2.0, transport=transport)
+    camera = StereoCamera(focal_px=50.0, width_px=64, height_px=48)
+    return replace(SCENARIO, images=images, camera=camera)
+
+
+def test_pictures_take_the_place_of_landmarks():
+    name = "robot_2"
+    pictures = [of(name, side) for of in (topics.camera_info, topics.image) for side in SIDES]
+    inputs = [topics.odometry(name), topics.ground_truth(name), *pictures]
+    heard = play_pictures("-p", "seed:=4", "-p", f"only:={name}", listen_to=inputs)
+    simulation = Simulation(picture_scenario(), 4, name)
+    say = messages.teller(simulation, "raw")
+    said = [dict(say(step)) for (step,) in simulation.steps()]
+    assert len(said) == 21
+    assert heard == {topic: [one[topic] for one in said] for topic in inputs}
+    assert {*said[0]} == {*inputs}
+
+
+def test_the_pictures_in_messages_are_the_rendered_ones():
+    name = "robot_1"
+    simulation = Simulation(picture_scenario(), 4, name)
+    steps = [step for (step,) in simulation.steps()][:3]
+    for transport, topic, decode in (
+        ("raw", topics.image, wire.decode_image),
+        ("png", topics.compressed_image, wire.decode_compressed),
+    ):
+        for step in steps:
+            said = dict(messages.with_pictures(step, simulation.renderer, transport))
+            pair = simulation.renderer.pair(step.truth)
+            for side, eye in zip(SIDES, pair, strict=True):
+                image = decode(said[topic(name, side)], "picture")
+                np.testing.assert_array_equal(image.pixels, eye)
+                assert image.encoding == "mono8"
+                assert image.stamp_ns == step.truth.stamp_ns
+                assert image.frame == topics.camera_frame(name)
+
+
+def test_the_chosen_transport_is_published():
+    compressed = [topics.compressed_image("robot_1", side) for side in SIDES]
+    arguments = ("-p", "images.transport:=jpeg", "-p", "only:=robot_1")
+    heard = play_pictures(*arguments, listen_to=[*compressed, topics.odometry("robot_1"), *INFOS])
+    for topic in compressed:
+        pictures = [wire.decode_compressed(data, "picture") for data in heard[topic]]
+        assert [picture.pixels.shape for picture in pictures] == [(48, 64)] * 21
+
+
+INFOS = [topics.camera_info("robot_1", side) for side in SIDES]
+
+
+def test_waits_for_subscribers_of_pictures():
+    """A camera's subscriber takes what it can get: that it is there is enough."""
+    odometry = [topics.odometry("robot_1")]
+    pictures = [topics.image("robot_1", side) for side in SIDES]
+    with nodes.ros(*PARAMETERS, *WITH_PICTURES, "-p", "only:=robot_1"):
+        world, first = robots.SimWorld(), nodes.Listener(*odometry)
+        nodes.spin_until(first.is_connected, world, first)
+        nodes.spin_until(nodes.rounds(50), world, first)
+        assert not any(first.heard.values())
+        second = nodes.Listener(*pictures, *INFOS, name="second")
+        nodes.spin_until(lambda: world.done, world, first, second)
+        assert len(first.heard[odometry[0]]) == 21
+    with nodes.ros(*PARAMETERS, *WITH_PICTURES, "-p", "image_subscribers:=0"):
+        world, alone = robots.SimWorld(), nodes.Listener(*map(topics.odometry, SCENARIO.names))
+        nodes.spin_until(lambda: world.done, world, alone)
+
+
+def test_true_landmarks_are_not_published_beside_pictures():
+    with nodes.ros(*PARAMETERS, *WITH_PICTURES):
+        world = robots.SimWorld()
+        nodes.spin_until(nodes.rounds(20), world)
+        published = {name for name, _ in world.get_topic_names_and_types()}
+    absent = [topics.GROUND_TRUTH_LANDMARKS, topics.observations("robot_1")]
+    absent.append(topics.observation_truth("robot_1"))
+    assert not {f"/{topic.name}" for topic in absent} & published
+    assert f"/{topics.GROUND_TRUTH_WALLS.name}" in published
+
+
+def test_cameras_that_cannot_be_rendered_end_the_node():
+    arguments = ("-p", "images.enabled:=true", "-p", "camera.mount.pitch_rad:=0.2")
+    with nodes.ros(*PARAMETERS, *arguments), pytest.raises(InputError, match=r"pitch_rad = 0\.2"):
+        robots.SimWorld()
 
 
 def test_works_under_a_namespace():

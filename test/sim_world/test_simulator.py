@@ -9,6 +9,7 @@ import pytest
 from msg_defs import scenario_file
 from msg_defs.errors import InputError
 from msg_defs.types import StereoCamera
+from sim_world.rendering.settings import ImageSettings
 from sim_world.scenario import SECTION, Scenario
 from sim_world.simulator import Simulation
 
@@ -67,6 +68,27 @@ def test_robots_have_different_noise():
     *_, (two,) = second.steps()
     np.testing.assert_allclose(one.truth.pose, two.truth.pose, atol=1e-9)
     assert (np.abs(one.odometry.pose - two.odometry.pose) > 1e-6).all()
+
+
+def test_pictures_change_nothing_else():
+    seen = replace(SHORT, images=ImageSettings(enabled=True, people=4, read_noise=1.0))
+    simulation = Simulation(seen, 3)
+    steps = list(simulation.steps())
+    assert simulation.renderer.pair(steps[0][0].truth).left.any()
+    assert run(seen, 3) == run(SHORT, 3)
+
+
+def test_a_robot_alone_sees_what_it_does_in_the_team():
+    images = ImageSettings(enabled=True, people=3, photon_noise=2.0, gain_difference=0.1)
+    seen = replace(SHORT, images=images)
+    alone, team = Simulation(seen, 5, only="robot_2"), Simulation(seen, 5)
+    (own,), of_team = next(alone.steps()), next(team.steps())
+    pairs = [alone.renderer.pair(own.truth), team.renderer.pair(of_team[1].truth)]
+    np.testing.assert_array_equal(*map(np.stack, pairs))
+
+
+def test_without_images_nothing_is_rendered():
+    assert Simulation(SHORT, 0).renderer is None
 
 
 @pytest.mark.parametrize(

@@ -6,12 +6,14 @@ import cv2
 import numpy as np
 import pytest
 
+from msg_defs.types import Walls
 from sim_world.rendering import textures
 from sim_world.rendering.pictures import KINDS
 from sim_world.rendering.settings import WallSettings
-from sim_world.world import building
+from sim_world.world import HEIGHT_M, building
 
-WALLS = building()
+WALLS = Walls(building().segments[9:33], HEIGHT_M)
+"""130 m of them, some long and some short."""
 
 
 def paint(world_seed=0, **settings):
