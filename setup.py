@@ -17,6 +17,9 @@ setup(
         ("share/sim_world", ["resource/share/sim_world/package.xml"]),
         ("share/multi_robot_slam/config", sorted(glob("config/*.*"))),
         ("lib/sim_world", ["scripts/robots"]),
-        ("lib/multi_robot_slam", ["scripts/fusion", "scripts/record", "scripts/replay"]),
+        (
+            "lib/multi_robot_slam",
+            ["scripts/camera", "scripts/fusion", "scripts/record", "scripts/replay"],
+        ),
     ],
 )

@@ -87,7 +87,7 @@ def odometry(robot, stamp_ns, along_m):
 
 
 def record(folder, config=None, messages=None, with_config=True, namespace=""):
-    """Write a bag of `messages`, by default `drive` of every robot of `config`; the configuration."""
+    """Write a bag of `messages`, by default `drive` of all robots of `config`; `config`."""
     config = config or team()
     if messages is None:
         drives = (drive(robot, seed=n) for n, robot in enumerate(config.robots))

@@ -14,7 +14,7 @@ verbs = (run.demo, run.run, landmarks.landmarks, judge.evaluate, judge.report, j
 for verb in (*verbs, judge.export):
     app.command()(verb)
 app.add_typer(convert.app, name="convert")
-for node in (nodes.fusion, nodes.record, nodes.replay):
+for node in (nodes.camera, nodes.fusion, nodes.record, nodes.replay):
     app.command(context_settings=cli.PASS_ON, add_help_option=False)(node)
 app.add_typer(study.app, name="study")
 # Programs that follow the speed over versions call `bench --json`.

@@ -1,8 +1,16 @@
-"""`fusion`, `record`, `replay`: the ROS nodes, which take their parameters as any node does."""
+"""`camera`, `fusion`, `record`, `replay`: the ROS nodes, which take their parameters as any node does."""
 
 import typer
 
 from msg_defs import cli
+
+
+def camera(context: typer.Context) -> None:
+    """ROS node: pictures of the robots' stereo cameras in, observations of landmarks out.
+
+    Parameters as for any node: multi_robot_slam camera --ros-args -p scenario:=FILE
+    """
+    cli.start_node("multi_robot_slam.nodes.camera", context.args)
 
 
 def fusion(context: typer.Context) -> None:

@@ -1,6 +1,6 @@
 """One robot's stereo camera: messages in, pairs to look at out.
 
-The node `camera`, `landmarks` and `run` all go this way, so the same pictures become the same bytes.
+The node `camera`, `landmarks` and `run` all go this way: the same pictures become the same bytes.
 """
 
 from collections import deque

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
+from typing import Literal
 
 from msg_defs import topics, wire
 from msg_defs.errors import InputError
@@ -42,7 +43,8 @@ def without_clouds(reader: BagReader, config: Config, namespace: str) -> list[st
 def in_bag(reader: BagReader, config: Config, namespace: str) -> Config:
     """`config` with the transport of the pictures that the bag has, where it has but the other."""
     names = {topic.name for topic in reader.summary.topics}
-    other = "compressed" if config.camera.image_transport == "raw" else "raw"
+    is_raw = config.camera.image_transport == "raw"
+    other: Literal["raw", "compressed"] = "compressed" if is_raw else "raw"
 
     def are_there(settings: CameraSettings) -> bool:
         found = (image_topic(settings, robot, side) for robot in config.robots for side in SIDES)

@@ -10,6 +10,7 @@ from multi_robot_slam.config import SECTION, Config
 pytest.importorskip("rclpy")
 
 NODES = (
+    "multi_robot_slam.nodes.camera",
     "multi_robot_slam.nodes.fusion",
     "multi_robot_slam.nodes.recorder",
     "multi_robot_slam.nodes.replay",
@@ -47,7 +48,7 @@ def test_help_names_the_parameters(module, monkeypatch, capfd):
     assert "robots" in said
 
 
-@pytest.mark.parametrize("verb", ["fusion", "record", "replay"])
+@pytest.mark.parametrize("verb", ["camera", "fusion", "record", "replay"])
 def test_the_command_passes_help_on_to_the_node(command, verb):
     code, said, _ = command(verb, "--help")
     assert code == 0

@@ -17,6 +17,7 @@ from patience import PATIENCE_S
 ROOT = Path(__file__).parents[2]
 EXECUTABLES = [
     ("sim_world", "robots"),
+    ("multi_robot_slam", "camera"),
     ("multi_robot_slam", "fusion"),
     ("multi_robot_slam", "record"),
     ("multi_robot_slam", "replay"),
