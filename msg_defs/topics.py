@@ -14,8 +14,6 @@ LATCHED = "latched"
 """Reliable and transient local, depth 1: late subscribers get the last message."""
 SENSOR = "sensor"
 """Best effort, depth 1: only the newest counts."""
-CAMERA = "camera"
-"""Best effort, keep the last 10, as camera drivers do: what comes too fast is lost."""
 
 MAP_FRAME = "map"
 CAMERA_FRAME = "{robot}/camera_left_optical"
@@ -56,16 +54,16 @@ def sightings(robot: str) -> Topic:
 
 def image(robot: str, side: str, name: str = "image_rect") -> Topic:
     """Pictures of the `side` (left, right) camera; stereo_image_proc's names."""
-    return Topic(f"{robot}/{side}/{name}", "sensor_msgs/msg/Image", CAMERA)
+    return Topic(f"{robot}/{side}/{name}", "sensor_msgs/msg/Image", BULKY)
 
 
 def compressed_image(robot: str, side: str, name: str = "image_rect") -> Topic:
     """The same, compressed, under image_transport's name."""
-    return Topic(f"{robot}/{side}/{name}/compressed", "sensor_msgs/msg/CompressedImage", CAMERA)
+    return Topic(f"{robot}/{side}/{name}/compressed", "sensor_msgs/msg/CompressedImage", BULKY)
 
 
 def camera_info(robot: str, side: str) -> Topic:
-    return Topic(f"{robot}/{side}/camera_info", "sensor_msgs/msg/CameraInfo", CAMERA)
+    return Topic(f"{robot}/{side}/camera_info", "sensor_msgs/msg/CameraInfo", BULKY)
 
 
 def preview(robot: str) -> Topic:

@@ -37,7 +37,6 @@ _QOS = {
     topics.BULKY: QoSProfile(depth=10),
     topics.LATCHED: QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL),
     topics.SENSOR: QoSProfile(depth=1, reliability=_BEST_EFFORT),
-    topics.CAMERA: QoSProfile(depth=10, reliability=_BEST_EFFORT),
 }
 
 
@@ -69,11 +68,15 @@ def subscribe(node: EdgeNode, topic: topics.Topic, callback: Callable[[bytes], N
     return Reader(node, topic, take)
 
 
+_FOLLOWING = (topics.STREAM, topics.BULKY)
+"""What is read as reliably as it is published."""
+
+
 class Reader:
-    """A subscription; on a stream it is as reliable as the publishers are.
+    """A subscription; of a stream or pictures it is as reliable as the publishers are.
 
     DDS gives a reliable reader nothing of a best-effort writer, as cameras are, and repairs no
-    losses of a best-effort reader. So a stream is read reliably until all its publishers are best
+    losses of a best-effort reader. So these are read reliably until all its publishers are best
     effort, and again as soon as one is not. What the user chose by `qos_overrides` stays.
     """
 
@@ -87,7 +90,7 @@ class Reader:
             self._subscription = self._create(QoSOverridingOptions.with_default_policies())
         except (InvalidQosOverridesError, RuntimeError) as error:
             raise InputError(f"{QOS_OVERRIDES}{topic.name}: {error}") from None
-        self._follows = topic.qos == topics.STREAM and not self._is_chosen()
+        self._follows = topic.qos in _FOLLOWING and not self._is_chosen()
         if self._follows:
             node.every(FOLLOW_PERIOD_S, self.follow)
 
@@ -116,7 +119,7 @@ class Reader:
 
     def _create(self, overriding: QoSOverridingOptions | None) -> Subscription:
         # The defaults would warn of publishers that `follow` is about to hear.
-        warns = self._topic.qos != topics.STREAM
+        warns = self._topic.qos not in _FOLLOWING
         return self._node.create_subscription(
             wire.message_class(self._topic.type),
             self._topic.name,

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import yaml
 
-from msg_defs.topics import CAMERA, LATCHED, SENSOR, STREAM, Topic
+from msg_defs.topics import BULKY, LATCHED, SENSOR, STREAM, Topic
 from msg_defs.wire import message_schema
 from multi_robot_slam.bags.names import absolute
 
@@ -21,7 +21,7 @@ _QOS: Mapping[str, Mapping[str, object]] = {
     STREAM: {"depth": 1000, "reliability": "reliable", "durability": "volatile"},
     LATCHED: {"depth": 1, "reliability": "reliable", "durability": "transient_local"},
     SENSOR: {"depth": 1, "reliability": "best_effort", "durability": "volatile"},
-    CAMERA: {"depth": 10, "reliability": "best_effort", "durability": "volatile"},
+    BULKY: {"depth": 10, "reliability": "reliable", "durability": "volatile"},
 }
 
 

@@ -1,4 +1,4 @@
-"""`camera`, `fusion`, `record`, `replay`: the ROS nodes, which take their parameters as any node does."""
+"""`camera`, `fusion`, `record`, `replay`: the ROS nodes, with parameters as any node has them."""
 
 import typer
 

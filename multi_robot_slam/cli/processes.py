@@ -1,4 +1,7 @@
-"""All at once: simulated robots, fusion and a listener as processes that talk over DDS."""
+"""All at once: simulated robots, fusion and a listener as processes that talk over DDS.
+
+Where robots send pictures, a camera node for each robot, too.
+"""
 
 import os
 import random
@@ -26,7 +29,7 @@ IDLE_PERIODS = 4
 
 
 def record(folder: Path, scenario: Path, seed: int, speed: float) -> None:
-    """Spawn recorder, fusion and robots; leave `folder/bag` when the exploration is over.
+    """Spawn recorder, fusion, cameras and robots; leave `folder/bag` when the exploration is over.
 
     `scenario` is the file of all their settings. SIGINT, SIGTERM or a process that fails end all of
     them, the recorder last, so that its bag is whole; then the program exits.
@@ -63,7 +66,9 @@ def _play(listener: _Listener, scenario: Path, seed: int, speed: float) -> str:
     world = scenario_file.from_file(Scenario, scenario, WORLD_SECTION)
     idle_s = max(IDLE_S, IDLE_PERIODS * world.period_s / speed if speed else 0.0)
     shared = f"scenario:={scenario}"
-    pace = f"seed:={seed}", f"speed:={speed}", "subscribers:=2"
+    seeing = world.names if world.images.enabled else ()
+    # The listener, the fusion, and each robot's own camera hear its odometry.
+    pace = f"seed:={seed}", f"speed:={speed}", f"subscribers:={3 if seeing else 2}"
     truths = f"truth_subscribers:={listener.truths}"
     processes: list[Popen[bytes]] = []
 
@@ -78,8 +83,13 @@ def _play(listener: _Listener, scenario: Path, seed: int, speed: float) -> str:
             fusion = start(
                 "multi_robot_slam.nodes.fusion", shared, f"stop_after_s:={idle_s}", "subscribers:=1"
             )
+            cameras = [
+                start("multi_robot_slam.nodes.camera", shared, f"only:={robot}", "subscribers:=2")
+                for robot in seeing
+            ]
             robots = start("sim_world.robots", shared, *pace, truths)
-            return _wait(robots, [fusion, hearing], stops) or _wait(fusion, [hearing], stops)
+            needed = [hearing, *cameras]
+            return _wait(robots, [fusion, *needed], stops) or _wait(fusion, needed, stops)
         finally:
             _end(processes)
 

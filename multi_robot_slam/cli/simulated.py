@@ -5,6 +5,7 @@ from pathlib import Path
 
 from msg_defs import scenario_file, topics, wire
 from multi_robot_slam.bags import BagWriter
+from multi_robot_slam.cli.configuration import OF_PICTURES, merged
 from multi_robot_slam.cli.terminal import countdown
 from multi_robot_slam.config import SECTION, Config
 from sim_world import messages
@@ -25,11 +26,15 @@ def configure(
 ) -> tuple[Scenario, Config]:
     """Every setting of both packages for a simulated team.
 
-    What is None is the scenario's; `seed` is the filter's. See `team_scenario`.
+    What is None is the scenario's; `seed` is the filter's. Where robots send pictures, what the
+    scenario leaves out is what pictures need. See `team_scenario`.
     """
     team = team_scenario(scenario, robots, rate_hz, laps, images)
-    config = scenario_file.from_yaml(Config, team, SECTION, scenario)
     world = scenario_file.from_yaml(Scenario, team, WORLD_SECTION, scenario)
+    stated = scenario_file.sections(team, scenario)[SECTION]
+    if world.images.enabled:
+        stated = merged(OF_PICTURES, stated)
+    config = scenario_file.from_mapping(Config, stated, f"{scenario}: {SECTION}")
     return world, replace(config, seed=seed)
 
 

@@ -2,18 +2,16 @@
 
 import sys
 import time
-from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from functools import partial
 from typing import Annotated
 
 import numpy as np
-from annotated_types import Gt
+from annotated_types import Ge, Gt
 
 from msg_defs import topics, wire
 from msg_defs.errors import InputError
 from msg_defs.ros import environment
-from msg_defs.ros.endpoints import publisher, subscribe
+from msg_defs.ros.endpoints import Audience, publisher, subscribe
 from msg_defs.ros.parameters import declare
 from msg_defs.ros.spin import SPIN_TIMEOUT_S, EdgeNode, spin
 from msg_defs.ros.usage import Usage
@@ -40,6 +38,9 @@ class Looking:
     unheard_s: Annotated[
         float, Gt(0), "time after which an expected topic that was never heard is reported [s]"
     ] = 10.0
+    subscribers: Annotated[
+        int, Ge(0), "subscribers to wait for on each stereo/landmarks topic before looking"
+    ] = 0
 
 
 USAGE = Usage(
@@ -73,6 +74,8 @@ class CameraNode(EdgeNode):
         self._outputs = {
             topic: publisher(self, topic) for robot in robots for topic in _outputs(config, robot)
         }
+        clouds = (self._outputs[topics.observations(robot)] for robot in robots)
+        self._audience = Audience(self, [(cloud, looking.subscribers) for cloud in clouds])
         self._diagnostics = publisher(self, topics.DIAGNOSTICS)
         self._names = {
             robot: [self._listen(topic, robot) for topic in self._cameras[robot].inputs]
@@ -91,7 +94,7 @@ class CameraNode(EdgeNode):
         if self._job and self._job[1].done():
             self._publish(*self._job)
             self._job = None
-        if self._job is None and self._waiting:
+        if self._job is None and self._waiting and not self._audience.is_missing():
             robot = next(iter(self._waiting))
             look = self._waiting.pop(robot)
             self._job = look, self._worker.submit(_timed, look, self._config)
@@ -138,11 +141,15 @@ class CameraNode(EdgeNode):
         subscribe(self, topics.odometry(robot), take)
 
     def _await(self, looks: list[Look]) -> None:
-        """Have the newest pair of each robot wait, in place of an older one."""
+        """Have the newest pair of each robot wait in place of an older one.
+
+        But for the first of all while subscribers are missing: it says where the robot starts.
+        """
         for look in looks:
-            if look.robot in self._waiting:
-                self._health[look.robot].dropped += 1
-            self._waiting[look.robot] = look
+            is_second = look.robot in self._waiting
+            self._health[look.robot].dropped += is_second
+            if not (is_second and self._audience.is_missing()):
+                self._waiting[look.robot] = look
 
     def _publish(self, look: Look, job: "Future[tuple[Sight, float]]") -> None:
         health = self._health[look.robot]

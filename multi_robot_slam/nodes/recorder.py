@@ -45,6 +45,8 @@ def recorded(robots: tuple[str, ...]) -> list[topics.Topic]:
         topics.odometry,
         topics.observations,
         topics.sightings,
+        topics.preview,
+        topics.preview_info,
         topics.ground_truth,
         topics.observation_truth,
     )
