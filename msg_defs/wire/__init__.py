@@ -33,6 +33,7 @@ from msg_defs.wire.images import (
     encode_camera_info,
     encode_compressed,
     encode_image,
+    encode_packed,
 )
 from msg_defs.wire.messages import is_known, message_class, message_schema, peek_stamp
 from msg_defs.wire.pictures import decode_walls, encode_markers, encode_walls
@@ -97,6 +98,7 @@ __all__ = [
     "encode_mean",
     "encode_observation_truth",
     "encode_observations",
+    "encode_packed",
     "encode_particles",
     "encode_path",
     "encode_pose",

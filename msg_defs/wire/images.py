@@ -130,6 +130,17 @@ def encode_compressed(
     )
 
 
+def encode_packed(packed: bytes, format: str, stamp_ns: int, frame: str) -> bytes:
+    """sensor_msgs/CompressedImage of a grey picture as a file of this `format` holds it."""
+    return encode(
+        messages.CompressedImage(
+            header=header_of(stamp_ns, frame),
+            format=f"mono8; {format} compressed ",
+            data=np.frombuffer(packed, np.uint8),
+        )
+    )
+
+
 def decode_compressed(data: bytes, what: str) -> Image:
     """The picture in a sensor_msgs/CompressedImage of JPEG or PNG, of 8 or 16 bits.
 

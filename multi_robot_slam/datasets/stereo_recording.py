@@ -1,6 +1,6 @@
 """A recorded stereo camera: pairs of images, their calibration, and where the camera truly was."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple, Self
@@ -78,10 +78,14 @@ class StereoPairs:
         """Left and right image of a pair, (H, W) uint8 each."""
         return read_grey(self.left[row]), read_grey(self.right[row])
 
-    def __getitem__(self, rows: slice) -> Self:
+    def of(self, rows: Iterable[int]) -> Self:
         """Some of the pairs."""
+        chosen = list(rows)
         return replace(
-            self, stamps_ns=self.stamps_ns[rows], left=self.left[rows], right=self.right[rows]
+            self,
+            stamps_ns=self.stamps_ns[chosen],
+            left=[self.left[row] for row in chosen],
+            right=[self.right[row] for row in chosen],
         )
 
 

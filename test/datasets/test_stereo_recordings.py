@@ -45,7 +45,7 @@ def test_euroc_as_lone_keyframes(tmp_path):
     recording = euroc.read(tmp_path)
     require_euroc(recording, np.arange(5))
     assert recording.images(0)[0].shape == (48, 64)
-    assert [path.name for path in recording[2:3].left] == [f"{stereo_folders.stamps()[2]}_0.jpg"]
+    assert [path.name for path in recording.of([2]).left] == [f"{stereo_folders.stamps()[2]}_0.jpg"]
 
 
 def test_a_rectified_pair_sees_a_point_in_one_row(tmp_path):

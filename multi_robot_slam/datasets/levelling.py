@@ -1,0 +1,54 @@
+"""What a camera sees in space, as a robot in the plane would: without roll, pitch and height."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from multi_robot_slam.front_end.front_end import Seen
+from multi_robot_slam.models.stereo import CAMERA_TO_BODY
+from multi_robot_slam.models.symmetric import pack, unpack
+
+PAPER_TO_OPTICAL = np.diag([1.0, -1.0, 1.0])
+"""From a frame with Y up to one with y down."""
+
+LEAST_DEPTH_M = 0.05
+"""Points nearer to the level camera's plane, or behind it, are left out."""
+
+
+class Cloud(NamedTuple):
+    """B observations from one frame."""
+
+    positions: np.ndarray
+    """(B, 3) [m]."""
+    covariances: np.ndarray
+    """(B, 6) [m^2]."""
+    descriptors: np.ndarray
+    """(B, 128) float32."""
+
+
+def in_map(seen: Seen, place: np.ndarray, rotation: np.ndarray) -> Cloud:
+    """The points in `map`, seen from `place` (3,) with `rotation` (3, 3), optical frame -> map."""
+    turned = rotation @ PAPER_TO_OPTICAL
+    positions = seen.positions.astype(float) @ turned.T + place
+    covariances = pack(turned @ unpack(seen.covariances.astype(float)) @ turned.T)
+    return Cloud(positions, covariances, seen.descriptors)
+
+
+def levelled(cloud: Cloud, pose: np.ndarray) -> tuple[Cloud, np.ndarray]:
+    """Points in `map` in the frame of a level camera at the planar `pose` (3,), height 0.
+
+    The frame is the paper's: X right, Y up, Z ahead; a `CameraMount` of zeros turns it into
+    `base_link`. Also returns which points (B,) were kept: those ahead.
+    """
+    cos, sin = np.cos(pose[2]), np.sin(pose[2])
+    body_to_map = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    turned = CAMERA_TO_BODY.T @ body_to_map.T
+    positions = (cloud.positions - [pose[0], pose[1], 0.0]) @ turned.T
+    covariances = pack(turned @ unpack(cloud.covariances) @ turned.T)
+    is_ahead = positions[:, 2] > LEAST_DEPTH_M
+    kept = Cloud(
+        positions[is_ahead].astype(np.float32),
+        covariances[is_ahead].astype(np.float32),
+        cloud.descriptors[is_ahead],
+    )
+    return kept, is_ahead

@@ -1,0 +1,294 @@
+"""A stereo recording -> a bag that `multi_robot_slam run` needs nothing else for.
+
+Such recordings have no wheels: odometry is the true motion with the errors of (7). Either the bag
+holds the images as they were recorded, or the landmarks that the front end finds in them, levelled
+with the true roll, pitch and height, which stand for an IMU: robots of the filter drive in a plane.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from rich.box import SIMPLE
+from rich.table import Table
+
+from msg_defs import scenario_file, topics, wire
+from msg_defs.errors import InputError
+from msg_defs.topics import Topic
+from msg_defs.types import (
+    CameraMount,
+    LandmarkMap,
+    ObservationSet,
+    ObservationTruth,
+    PoseSample,
+    Trajectory,
+)
+from multi_robot_slam.bags import BagWriter
+from multi_robot_slam.config import SECTION, Config
+from multi_robot_slam.datasets.identities import Identities
+from multi_robot_slam.datasets.levelling import Cloud, in_map, levelled
+from multi_robot_slam.datasets.stereo_recording import SpacePath, StereoPairs, StereoRecording
+from multi_robot_slam.datasets.wheels import noisy_odometry
+from multi_robot_slam.filter.settings import FilterSettings
+from multi_robot_slam.front_end.front_end import FrontEnd, Seen
+from multi_robot_slam.front_end.rig import StereoRig
+from multi_robot_slam.front_end.settings import CameraSettings, FeatureSettings, descriptor_gate
+
+LEVEL = CameraMount(forward_m=0.0, left_m=0.0, up_m=0.0)
+"""Of levelled clouds: base_link is below the camera, at height 0."""
+
+FORMATS = {".png": "png", ".jpg": "jpeg"}
+"""Of the sources' files, as sensor_msgs/CompressedImage names them."""
+
+Message = tuple[int, Topic, bytes]
+"""Stamp [ns], topic, CDR."""
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """What one robot of the team recorded."""
+
+    robot: str
+    recording: StereoRecording
+    """Its pairs, with the stamps of the source."""
+    shift_ns: int
+    """To be added to these stamps, so that all robots start together."""
+
+    def truth(self) -> SpacePath:
+        """The camera's true pose at each pair, with the stamps of the source."""
+        return self.recording.truth.at(self.recording.stamps_ns)
+
+    def planar(self) -> Trajectory:
+        """The same in the plane, with the stamps of the bag."""
+        path = self.truth().planar()
+        return Trajectory(path.stamps_ns + self.shift_ns, path.poses)
+
+
+def parts(recording: StereoRecording, robots: int) -> list[Part]:
+    """The recording cut into as many times of equal length; a robot each, all start together."""
+    stamps = recording.stamps_ns
+    since = stamps - stamps[0]
+    edges = np.searchsorted(since, np.linspace(0, since[-1] + 1, robots + 1))
+    found = []
+    for number, (first, last) in enumerate(pairwise(edges.tolist())):
+        if last - first < 2:
+            raise InputError(
+                f"{len(recording)} pairs are too few for {robots} robots; give fewer --robots"
+            )
+        shift = int(stamps[0] - stamps[first])
+        found.append(Part(topics.robot_name(number), recording.of(range(first, last)), shift))
+    return found
+
+
+def spaced(recording: StereoRecording, rate_hz: float) -> StereoRecording:
+    """Those pairs that come at least a period of `rate_hz` after the one kept before."""
+    kept: list[int] = []
+    last = -np.inf
+    for row, stamp in enumerate(recording.stamps_ns.tolist()):
+        if stamp - last >= 0.999e9 / rate_hz:
+            kept.append(row)
+            last = stamp
+    return recording.of(kept)
+
+
+def front_end(pairs: StereoPairs, settings: CameraSettings) -> FrontEnd:
+    """What finds points in these pairs."""
+    left, right = pairs.calibration
+    return FrontEnd(StereoRig.of(left, right, not pairs.is_rectified), settings)
+
+
+class Team(NamedTuple):
+    """What the robots saw, and what it truly is."""
+
+    clouds: dict[str, list[Cloud]]
+    """Of each robot's pairs, level, in its camera frame."""
+    landmarks: dict[str, list[np.ndarray]]
+    """(B,) uint32 of each."""
+    identities: Identities
+
+
+def observed(team: list[Part], seen: dict[str, list[Seen]]) -> Team:
+    """Level what each robot has `seen` in its pairs, and find from true poses what is one."""
+    identities = Identities()
+    clouds: dict[str, list[Cloud]] = {part.robot: [] for part in team}
+    landmarks: dict[str, list[np.ndarray]] = {part.robot: [] for part in team}
+    for part in team:
+        truth = part.truth()
+        frames = zip(
+            seen[part.robot], truth.places, truth.rotations, part.planar().poses, strict=True
+        )
+        for own, place, rotation, pose in frames:
+            points = in_map(own, place, rotation)
+            cloud, is_ahead = levelled(points, pose)
+            clouds[part.robot].append(cloud)
+            landmarks[part.robot].append(identities.of(points, place)[is_ahead])
+    return Team(clouds, landmarks, identities)
+
+
+def camera_settings(recording: StereoRecording, scale: float) -> CameraSettings:
+    """How the camera's images are named and searched."""
+    return CameraSettings(
+        image="image_rect" if recording.is_rectified else "image_raw",
+        image_transport="compressed",
+        features=FeatureSettings(scale=scale),
+    )
+
+
+def look(
+    team: list[Part], settings: CameraSettings, on_pair: Callable[[], None] = lambda: None
+) -> dict[str, list[Seen]]:
+    """What the front end finds in each robot's pairs; `on_pair` is called after each."""
+    seen: dict[str, list[Seen]] = {}
+    for part in team:
+        finder = front_end(part.recording, settings)
+        seen[part.robot] = []
+        for row in range(len(part.recording)):
+            seen[part.robot].append(finder.observe(*part.recording.images(row)))
+            on_pair()
+    return seen
+
+
+def configuration(team: list[Part], camera: CameraSettings) -> Config:
+    """What the filter is told: where the robots truly start, and the noise of their odometry."""
+    return Config(
+        robots=tuple(part.robot for part in team),
+        start_poses=tuple(tuple(part.planar().poses[0].tolist()) for part in team),
+        mount=LEVEL,
+        camera=camera,
+        filter=FilterSettings(descriptor_gate=descriptor_gate(camera)),
+    )
+
+
+def write_clouds(folder: Path, team: list[Part], saw: Team, config: Config, seed: int) -> None:
+    """Write a bag of landmarks; odometry has errors of the `seed`."""
+    messages = [*_common(team, config, seed)]
+    for part in team:
+        stamps = part.planar().stamps_ns.tolist()
+        clouds, landmarks = saw.clouds[part.robot], saw.landmarks[part.robot]
+        for stamp, cloud, rows in zip(stamps, clouds, landmarks, strict=True):
+            messages += _cloud_messages(part.robot, stamp, cloud, rows)
+    first_ns = int(team[0].recording.stamps_ns[0])
+    truth = wire.encode_map(_true_map(saw.identities), first_ns)
+    messages.append((first_ns, topics.GROUND_TRUTH_LANDMARKS, truth))
+    _write(folder, messages)
+
+
+def write_images(
+    folder: Path,
+    team: list[Part],
+    config: Config,
+    seed: int,
+    on_pair: Callable[[], None] = lambda: None,
+) -> None:
+    """Write a bag of the images as they are in the source; odometry has errors of the `seed`."""
+    messages = sorted(_common(team, config, seed), key=lambda message: message[0])
+    pairs = sorted(
+        (stamp + part.shift_ns, number, row)
+        for number, part in enumerate(team)
+        for row, stamp in enumerate(part.recording.stamps_ns.tolist())
+    )
+    with BagWriter(folder) as bag:
+        sent = 0
+        for stamp, number, row in pairs:
+            while sent < len(messages) and messages[sent][0] <= stamp:
+                at, topic, data = messages[sent]
+                bag.write(topic, at, data)
+                sent += 1
+            for topic, data in _image_messages(team[number], row, stamp, config.camera):
+                bag.write(topic, stamp, data)
+            on_pair()
+
+
+def _write(folder: Path, messages: list[Message]) -> None:
+    with BagWriter(folder) as bag:
+        for stamp, topic, data in sorted(messages, key=lambda message: message[0]):
+            bag.write(topic, stamp, data)
+
+
+def _common(team: list[Part], config: Config, seed: int) -> Iterator[Message]:
+    """The configuration, odometry and truth."""
+    first_ns = int(team[0].recording.stamps_ns[0])
+    text = scenario_file.to_yaml(**{SECTION: config})
+    yield first_ns, topics.FUSION_CONFIG, wire.encode_text(text)
+    seeds = np.random.SeedSequence(seed).spawn(len(team))
+    for part, own in zip(team, seeds, strict=True):
+        truth, rng = part.planar(), np.random.default_rng(own)
+        odom, base = topics.odom_frame(part.robot), topics.base_frame(part.robot)
+        for sample in noisy_odometry(part.robot, truth, config.filter.motion, rng):
+            data = wire.encode_pose(sample, odom, base)
+            yield sample.stamp_ns, topics.odometry(part.robot), data
+        for stamp, pose in zip(truth.stamps_ns.tolist(), truth.poses, strict=True):
+            true = PoseSample(part.robot, stamp, pose)
+            data = wire.encode_pose(true, topics.MAP_FRAME, base)
+            yield stamp, topics.ground_truth(part.robot), data
+
+
+def _cloud_messages(robot: str, stamp_ns: int, cloud: Cloud, rows: np.ndarray) -> list[Message]:
+    observations = ObservationSet(robot, stamp_ns, *cloud)
+    truth = ObservationTruth(robot, stamp_ns, rows)
+    return [
+        (stamp_ns, topics.observations(robot), wire.encode_observations(observations)),
+        (stamp_ns, topics.observation_truth(robot), wire.encode_observation_truth(truth)),
+    ]
+
+
+def _true_map(identities: Identities) -> LandmarkMap:
+    count = len(identities)
+    return LandmarkMap(
+        ids=np.arange(count, dtype=np.uint32),
+        positions=identities.positions.astype(np.float32),
+        covariances=np.zeros((count, 6), np.float32),
+        observations=np.zeros(count, np.uint32),
+        robots=np.zeros(count, np.uint32),
+        descriptors=identities.descriptors,
+    )
+
+
+def _image_messages(
+    part: Part, row: int, stamp_ns: int, camera: CameraSettings
+) -> Iterator[tuple[Topic, bytes]]:
+    """Both images of a pair as they are in their files, and their calibration."""
+    recording = part.recording
+    frame = topics.camera_frame(part.robot)
+    for side, path, info in zip(
+        ("left", "right"),
+        (recording.left[row], recording.right[row]),
+        recording.calibration,
+        strict=True,
+    ):
+        packed = wire.encode_packed(path.read_bytes(), FORMATS[path.suffix], stamp_ns, frame)
+        yield topics.compressed_image(part.robot, side, camera.image), packed
+        told = wire.encode_camera_info(replace(info, stamp_ns=stamp_ns, frame=frame))
+        yield topics.camera_info(part.robot, side), told
+
+
+def table(team: list[Part], saw: Team | None) -> Table:
+    """What became of each robot's pairs; `saw` where the bag holds landmarks."""
+    shown = Table(title="pairs", box=SIMPLE, padding=(0, 1, 0, 0))
+    shown.title_justify = "left"
+    heads = ["robot", "pairs", "seconds", "path [m]"]
+    heads += ["observations", "of landmarks seen before"] if saw else []
+    for number, head in enumerate(heads):
+        shown.add_column(head, justify="right" if number else "left", no_wrap=True)
+    known: set[int] = set()
+    for part in team:
+        path = part.planar()
+        steps = np.diff(path.poses[:, :2], axis=0)
+        row = [
+            part.robot,
+            str(len(path.stamps_ns)),
+            f"{(path.stamps_ns[-1] - path.stamps_ns[0]) / 1e9:.0f}",
+            f"{np.hypot(*steps.T).sum():.1f}",
+        ]
+        if saw:
+            frames = saw.landmarks[part.robot]
+            again = 0
+            for rows in frames:
+                again += sum(int(landmark) in known for landmark in rows)
+                known.update(rows.tolist())
+            row += [str(sum(map(len, frames))), str(again)]
+        shown.add_row(*row)
+    return shown
