@@ -34,16 +34,16 @@ def in_map(seen: Seen, place: np.ndarray, rotation: np.ndarray) -> Cloud:
     return Cloud(positions, covariances, seen.descriptors)
 
 
-def levelled(cloud: Cloud, pose: np.ndarray) -> tuple[Cloud, np.ndarray]:
-    """Points in `map` in the frame of a level camera at the planar `pose` (3,), height 0.
+def levelled(cloud: Cloud, pose: np.ndarray, height_m: float) -> tuple[Cloud, np.ndarray]:
+    """Points in `map` in the frame of a level camera at the planar `pose` (3,) and this height.
 
-    The frame is the paper's: X right, Y up, Z ahead; a `CameraMount` of zeros turns it into
-    `base_link`. Also returns which points (B,) were kept: those ahead.
+    The frame is the paper's: X right, Y up, Z ahead. Also returns which points (B,) were kept:
+    those ahead.
     """
     cos, sin = np.cos(pose[2]), np.sin(pose[2])
     body_to_map = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     turned = CAMERA_TO_BODY.T @ body_to_map.T
-    positions = (cloud.positions - [pose[0], pose[1], 0.0]) @ turned.T
+    positions = (cloud.positions - [pose[0], pose[1], height_m]) @ turned.T
     covariances = pack(turned @ unpack(cloud.covariances) @ turned.T)
     is_ahead = positions[:, 2] > LEAST_DEPTH_M
     kept = Cloud(

@@ -35,10 +35,7 @@ from multi_robot_slam.datasets.wheels import noisy_odometry
 from multi_robot_slam.filter.settings import FilterSettings
 from multi_robot_slam.front_end.front_end import FrontEnd, Seen
 from multi_robot_slam.front_end.rig import StereoRig
-from multi_robot_slam.front_end.settings import CameraSettings, FeatureSettings, descriptor_gate
-
-LEVEL = CameraMount(forward_m=0.0, left_m=0.0, up_m=0.0)
-"""Of levelled clouds: base_link is below the camera, at height 0."""
+from multi_robot_slam.front_end.settings import DESCRIPTOR_GATE, CameraSettings, FeatureSettings
 
 FORMATS = {".png": "png", ".jpg": "jpeg"}
 """Of the sources' files, as sensor_msgs/CompressedImage names them."""
@@ -112,7 +109,7 @@ class Team(NamedTuple):
 
 def observed(team: list[Part], seen: dict[str, list[Seen]]) -> Team:
     """Level what each robot has `seen` in its pairs, and find from true poses what is one."""
-    identities = Identities()
+    identities, height = Identities(), mount(team).up_m
     clouds: dict[str, list[Cloud]] = {part.robot: [] for part in team}
     landmarks: dict[str, list[np.ndarray]] = {part.robot: [] for part in team}
     for part in team:
@@ -122,10 +119,16 @@ def observed(team: list[Part], seen: dict[str, list[Seen]]) -> Team:
         )
         for own, place, rotation, pose in frames:
             points = in_map(own, place, rotation)
-            cloud, is_ahead = levelled(points, pose)
+            cloud, is_ahead = levelled(points, pose, height)
             clouds[part.robot].append(cloud)
             landmarks[part.robot].append(identities.of(points, place)[is_ahead])
     return Team(clouds, landmarks, identities)
+
+
+def mount(team: list[Part]) -> CameraMount:
+    """Of a level camera above `base_link`, at the mean of all true heights."""
+    heights = np.concatenate([part.truth().places[:, 2] for part in team])
+    return CameraMount(forward_m=0.0, left_m=0.0, up_m=float(heights.mean().round(3)))
 
 
 def camera_settings(recording: StereoRecording, scale: float) -> CameraSettings:
@@ -156,9 +159,9 @@ def configuration(team: list[Part], camera: CameraSettings) -> Config:
     return Config(
         robots=tuple(part.robot for part in team),
         start_poses=tuple(tuple(part.planar().poses[0].tolist()) for part in team),
-        mount=LEVEL,
+        mount=mount(team),
         camera=camera,
-        filter=FilterSettings(descriptor_gate=descriptor_gate(camera)),
+        filter=FilterSettings(descriptor_gate=DESCRIPTOR_GATE),
     )
 
 
