@@ -199,6 +199,49 @@ def real(
 
 
 @app.command()
+def cameras(
+    source: Annotated[str, typer.Argument(help="euroc, kitti, library or rendered.")],
+    folder: Annotated[
+        Path | None, typer.Argument(help="Folder of the recording, as of `convert euroc`.")
+    ] = None,
+    seeds: Annotated[int, typer.Option(min=1, help="Runs of each set-up.")] = 10,
+    particles: Annotated[int, typer.Option(min=1, help="Number of particles M.")] = 500,
+    setups: Annotated[
+        str | None, typer.Option(help="Only these set-ups, with commas between.")
+    ] = None,
+    first_seed: FirstSeed = 0,
+    processes: Processes = None,
+    out: Out = None,
+) -> None:
+    """How good SLAM from images is: from recorded stereo cameras, and from rendered ones.
+
+    EuRoC as one robot, as two at once, and as each half alone; KITTI as one robot; the simulated
+    building, three robots, with images and with landmarks that have the same noise; and each thing
+    that spoils images in turn. A seed is that of the odometry's errors and of the filter. Prints
+    and writes mean and spread over seeds of cameras.csv. Rows are written as they finish: an
+    interrupted study goes on where it stopped.
+    """
+    from multi_robot_slam.studies import cameras as study_of_cameras
+    from multi_robot_slam.studies import scheduling
+
+    wanted = study_of_cameras.plan(source, folder, setups, particles)
+    out = out or Path("runs/cameras") / source
+    with counter("runs") as progress:
+        task = progress.add_task(f"{source}: looking at images", total=None)
+        rows = study_of_cameras.study(
+            wanted,
+            range(first_seed, first_seed + seeds),
+            out,
+            partial(scheduling.local, processes=processes),
+            lambda done, total: progress.update(
+                task, completed=done, total=total, description=source
+            ),
+        )
+    typer.echo(study_of_cameras.markdown(wanted, rows))
+    console.print(f"Everything is in {out}", markup=False)
+
+
+@app.command()
 def hours(
     hours: Annotated[float, typer.Option(min=0.01, help="Length of each run [h].")] = 4.0,
     robots: Annotated[int, typer.Option(min=1, max=32, help="Number of robots.")] = 3,

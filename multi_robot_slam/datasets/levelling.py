@@ -4,7 +4,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from multi_robot_slam.front_end.front_end import Seen
 from multi_robot_slam.models.stereo import CAMERA_TO_BODY
 from multi_robot_slam.models.symmetric import pack, unpack
 
@@ -26,12 +25,15 @@ class Cloud(NamedTuple):
     """(B, 128) float32."""
 
 
-def in_map(seen: Seen, place: np.ndarray, rotation: np.ndarray) -> Cloud:
-    """The points in `map`, seen from `place` (3,) with `rotation` (3, 3), optical frame -> map."""
+def in_map(cloud: Cloud, place: np.ndarray, rotation: np.ndarray) -> Cloud:
+    """Points in the camera frame, turned into `map`.
+
+    The camera is at `place` (3,) with `rotation` (3, 3) from its optical frame to `map`.
+    """
     turned = rotation @ PAPER_TO_OPTICAL
-    positions = seen.positions.astype(float) @ turned.T + place
-    covariances = pack(turned @ unpack(seen.covariances.astype(float)) @ turned.T)
-    return Cloud(positions, covariances, seen.descriptors)
+    positions = cloud.positions.astype(float) @ turned.T + place
+    covariances = pack(turned @ unpack(cloud.covariances.astype(float)) @ turned.T)
+    return Cloud(positions, covariances, cloud.descriptors)
 
 
 def levelled(cloud: Cloud, pose: np.ndarray, height_m: float) -> tuple[Cloud, np.ndarray]:

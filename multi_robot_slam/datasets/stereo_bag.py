@@ -33,7 +33,7 @@ from multi_robot_slam.datasets.levelling import Cloud, in_map, levelled
 from multi_robot_slam.datasets.stereo_recording import SpacePath, StereoPairs, StereoRecording
 from multi_robot_slam.datasets.wheels import noisy_odometry
 from multi_robot_slam.filter.settings import FilterSettings
-from multi_robot_slam.front_end.front_end import FrontEnd, Seen
+from multi_robot_slam.front_end.front_end import FrontEnd
 from multi_robot_slam.front_end.rig import StereoRig
 from multi_robot_slam.front_end.settings import DESCRIPTOR_GATE, CameraSettings, FeatureSettings
 
@@ -107,7 +107,7 @@ class Team(NamedTuple):
     identities: Identities
 
 
-def observed(team: list[Part], seen: dict[str, list[Seen]]) -> Team:
+def observed(team: list[Part], seen: dict[str, list[Cloud]]) -> Team:
     """Level what each robot has `seen` in its pairs, and find from true poses what is one."""
     identities, height = Identities(), mount(team).up_m
     clouds: dict[str, list[Cloud]] = {part.robot: [] for part in team}
@@ -142,14 +142,19 @@ def camera_settings(recording: StereoRecording, scale: float) -> CameraSettings:
 
 def look(
     team: list[Part], settings: CameraSettings, on_pair: Callable[[], None] = lambda: None
-) -> dict[str, list[Seen]]:
-    """What the front end finds in each robot's pairs; `on_pair` is called after each."""
-    seen: dict[str, list[Seen]] = {}
+) -> dict[str, list[Cloud]]:
+    """What the front end finds in each robot's pairs, in the frame of its rectified left camera.
+
+    `on_pair` is called after each.
+    """
+    seen: dict[str, list[Cloud]] = {}
     for part in team:
         finder = front_end(part.recording, settings)
         seen[part.robot] = []
         for row in range(len(part.recording)):
-            seen[part.robot].append(finder.observe(*part.recording.images(row)))
+            found = finder.observe(*part.recording.images(row))
+            cloud = Cloud(found.positions, found.covariances, found.descriptors)
+            seen[part.robot].append(cloud)
             on_pair()
     return seen
 
@@ -161,22 +166,59 @@ def configuration(team: list[Part], camera: CameraSettings) -> Config:
         start_poses=tuple(tuple(part.planar().poses[0].tolist()) for part in team),
         mount=mount(team),
         camera=camera,
-        filter=FilterSettings(descriptor_gate=DESCRIPTOR_GATE),
+        filter=FilterSettings(descriptor_gate=DESCRIPTOR_GATE, noise_at="landmark"),
+    )
+
+
+def odometry(team: list[Part], config: Config, seed: int) -> dict[str, list[PoseSample]]:
+    """Of each robot the true motion with errors of the `seed`; one sample a pair."""
+    noise, seeds = config.filter.motion, np.random.SeedSequence(seed).spawn(len(team))
+    return {
+        part.robot: [*noisy_odometry(part.robot, part.planar(), noise, np.random.default_rng(own))]
+        for part, own in zip(team, seeds, strict=True)
+    }
+
+
+def frames(team: list[Part], saw: Team) -> Iterator[tuple[ObservationSet, ObservationTruth]]:
+    """What each robot saw at each pair, and of what."""
+    for part in team:
+        stamps = part.planar().stamps_ns.tolist()
+        clouds, landmarks = saw.clouds[part.robot], saw.landmarks[part.robot]
+        for stamp, cloud, rows in zip(stamps, clouds, landmarks, strict=True):
+            yield (
+                ObservationSet(part.robot, stamp, *cloud),
+                ObservationTruth(part.robot, stamp, rows),
+            )
+
+
+def true_map(identities: Identities) -> LandmarkMap:
+    """The landmarks that true poses tell."""
+    count = len(identities)
+    return LandmarkMap(
+        ids=np.arange(count, dtype=np.uint32),
+        positions=identities.positions.astype(np.float32),
+        covariances=np.zeros((count, 6), np.float32),
+        observations=np.zeros(count, np.uint32),
+        robots=np.zeros(count, np.uint32),
+        descriptors=identities.descriptors,
     )
 
 
 def write_clouds(folder: Path, team: list[Part], saw: Team, config: Config, seed: int) -> None:
     """Write a bag of landmarks; odometry has errors of the `seed`."""
     messages = [*_common(team, config, seed)]
-    for part in team:
-        stamps = part.planar().stamps_ns.tolist()
-        clouds, landmarks = saw.clouds[part.robot], saw.landmarks[part.robot]
-        for stamp, cloud, rows in zip(stamps, clouds, landmarks, strict=True):
-            messages += _cloud_messages(part.robot, stamp, cloud, rows)
+    for seen, truth in frames(team, saw):
+        robot, stamp = seen.robot, seen.stamp_ns
+        messages += [
+            (stamp, topics.observations(robot), wire.encode_observations(seen)),
+            (stamp, topics.observation_truth(robot), wire.encode_observation_truth(truth)),
+        ]
     first_ns = int(team[0].recording.stamps_ns[0])
-    truth = wire.encode_map(_true_map(saw.identities), first_ns)
-    messages.append((first_ns, topics.GROUND_TRUTH_LANDMARKS, truth))
-    _write(folder, messages)
+    landmarks = wire.encode_map(true_map(saw.identities), first_ns)
+    messages.append((first_ns, topics.GROUND_TRUTH_LANDMARKS, landmarks))
+    with BagWriter(folder) as bag:
+        for stamp, topic, data in sorted(messages, key=lambda message: message[0]):
+            bag.write(topic, stamp, data)
 
 
 def write_images(
@@ -205,49 +247,22 @@ def write_images(
             on_pair()
 
 
-def _write(folder: Path, messages: list[Message]) -> None:
-    with BagWriter(folder) as bag:
-        for stamp, topic, data in sorted(messages, key=lambda message: message[0]):
-            bag.write(topic, stamp, data)
-
-
 def _common(team: list[Part], config: Config, seed: int) -> Iterator[Message]:
     """The configuration, odometry and truth."""
     first_ns = int(team[0].recording.stamps_ns[0])
     text = scenario_file.to_yaml(**{SECTION: config})
     yield first_ns, topics.FUSION_CONFIG, wire.encode_text(text)
-    seeds = np.random.SeedSequence(seed).spawn(len(team))
-    for part, own in zip(team, seeds, strict=True):
-        truth, rng = part.planar(), np.random.default_rng(own)
-        odom, base = topics.odom_frame(part.robot), topics.base_frame(part.robot)
-        for sample in noisy_odometry(part.robot, truth, config.filter.motion, rng):
+    for robot, samples in odometry(team, config, seed).items():
+        odom, base = topics.odom_frame(robot), topics.base_frame(robot)
+        for sample in samples:
             data = wire.encode_pose(sample, odom, base)
-            yield sample.stamp_ns, topics.odometry(part.robot), data
+            yield sample.stamp_ns, topics.odometry(robot), data
+    for part in team:
+        base, truth = topics.base_frame(part.robot), part.planar()
         for stamp, pose in zip(truth.stamps_ns.tolist(), truth.poses, strict=True):
             true = PoseSample(part.robot, stamp, pose)
             data = wire.encode_pose(true, topics.MAP_FRAME, base)
             yield stamp, topics.ground_truth(part.robot), data
-
-
-def _cloud_messages(robot: str, stamp_ns: int, cloud: Cloud, rows: np.ndarray) -> list[Message]:
-    observations = ObservationSet(robot, stamp_ns, *cloud)
-    truth = ObservationTruth(robot, stamp_ns, rows)
-    return [
-        (stamp_ns, topics.observations(robot), wire.encode_observations(observations)),
-        (stamp_ns, topics.observation_truth(robot), wire.encode_observation_truth(truth)),
-    ]
-
-
-def _true_map(identities: Identities) -> LandmarkMap:
-    count = len(identities)
-    return LandmarkMap(
-        ids=np.arange(count, dtype=np.uint32),
-        positions=identities.positions.astype(np.float32),
-        covariances=np.zeros((count, 6), np.float32),
-        observations=np.zeros(count, np.uint32),
-        robots=np.zeros(count, np.uint32),
-        descriptors=identities.descriptors,
-    )
 
 
 def _image_messages(
@@ -287,11 +302,11 @@ def table(team: list[Part], saw: Team | None) -> Table:
             f"{np.hypot(*steps.T).sum():.1f}",
         ]
         if saw:
-            frames = saw.landmarks[part.robot]
+            found = saw.landmarks[part.robot]
             again = 0
-            for rows in frames:
+            for rows in found:
                 again += sum(int(landmark) in known for landmark in rows)
                 known.update(rows.tolist())
-            row += [str(sum(map(len, frames))), str(again)]
+            row += [str(sum(map(len, found))), str(again)]
         shown.add_row(*row)
     return shown
