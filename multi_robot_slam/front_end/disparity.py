@@ -13,8 +13,8 @@ UNIQUENESS = 0.8
 """What the best place lacks to a correlation of 1 over what the second best lacks, at most."""
 
 STEADY_PX = 0.3
-"""Windows of two sizes differ by less on a smooth surface; of those that differ by more every tenth
-is wrong by more than 0.6 px in the rooms, and every fifth in the streets that it was measured in."""
+"""What windows of two sizes may differ by. On a smooth surface it is less; of those that differ by
+more, every tenth is wrong by over 0.6 px in a room, and every fifth in a street."""
 
 
 @dataclass(frozen=True)

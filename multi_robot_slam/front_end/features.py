@@ -20,7 +20,10 @@ class Keypoints:
     sizes: np.ndarray
     """(n,) float64: diameter [px]."""
     descriptors: np.ndarray
-    """(n, 128) float32, unit norm: the root of SIFT's histograms (Arandjelovic, Zisserman, 2012)."""
+    """(n, 128) float32, unit norm: the roots of SIFT's histograms (Arandjelovic, Zisserman 2012).
+
+    At equal false matches they find every tenth place more again than the histograms do.
+    """
 
     @classmethod
     def of(cls, image: np.ndarray, settings: FeatureSettings) -> Keypoints:

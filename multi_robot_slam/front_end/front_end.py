@@ -55,6 +55,8 @@ class Seen:
     """(B, 128) float32, unit norm."""
     pixels: np.ndarray
     """(B, 3) float64: column and row in the rectified left image, and disparity [px]."""
+    sizes: np.ndarray
+    """(B,) float64: diameter of the keypoint in that image [px]."""
     counts: Counts
 
 
@@ -82,7 +84,8 @@ class FrontEnd:
         is_steady = information > 0
         steady, information = matched[is_steady], information[is_steady]
         pixels = np.column_stack([points[steady], disparities[is_steady]])
-        sigmas = pixel_sigmas(found.sizes[steady] / settings.scale, information, settings)
+        sizes = found.sizes[steady] / settings.scale
+        sigmas = pixel_sigmas(sizes, information, settings)
         farthest_px = self.rig.focal_px * self.rig.baseline_m / settings.farthest_m
         is_near = pixels[:, 2] > np.maximum(farthest_px, sigmas[:, 2] / WORST_DISPARITY)
         near = np.flatnonzero(is_near)
@@ -93,6 +96,7 @@ class FrontEnd:
             covariances=propagated(self.rig, pixels[kept], sigmas[kept]).astype(np.float32),
             descriptors=found.descriptors[steady[kept]],
             pixels=pixels[kept],
+            sizes=sizes[kept],
             counts=Counts(
                 len(points),
                 *np.bincount(fates, minlength=kernels.FOUND)[: kernels.FOUND].tolist(),

@@ -1,7 +1,8 @@
 """The compiled search for a point of the left image along its row in the right one.
 
-Whole pixels first (`match_rows`), by normalised cross-correlation, whose sums are of integers: their
-order does not matter, and the loops become SIMD code. Then fractions of a pixel (`refine_rows`).
+Whole pixels first (`match_rows`), by normalised cross-correlation, whose sums are of integers:
+their order does not matter, and the loops become SIMD code. Then fractions of a pixel
+(`refine_rows`).
 """
 
 import numpy as np
@@ -86,7 +87,7 @@ def correlate(template_image, u, v, image, first, scores):
 
 @kernel
 def second_peak(scores, best):
-    """Highest local maximum of `scores` (n,) that is not at `best` or beside it; -1: there is none."""
+    """Highest local maximum of `scores` (n,), but for `best` and its neighbours; -1: none."""
     second = np.float32(-1.0)
     for i in range(1, len(scores) - 1):
         is_peak = scores[i] >= scores[i - 1] and scores[i] >= scores[i + 1]

@@ -31,8 +31,8 @@ class FeatureSettings:
     distinct: Annotated[
         float, Ge(0), "least squared distance of a point's descriptor from all others of its image"
     ] = 0.15
-    sigma_px: Annotated[float, Gt(0), "standard deviation of row and column [px]"] = 0.3
-    sigma_disparity_px: Annotated[float, Gt(0), "standard deviation of the disparity [px]"] = 0.06
+    sigma_px: Annotated[float, Gt(0), "standard deviation of row and column [px]"] = 0.4
+    sigma_disparity_px: Annotated[float, Gt(0), "standard deviation of the disparity [px]"] = 0.08
 
 
 @settings

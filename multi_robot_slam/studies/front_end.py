@@ -45,6 +45,9 @@ two frames and the one fitted to their several hundred common points, over the r
 AT_A_LOOP = PoseSigma(0.05, 0.01)
 """How well a robot knows its pose when it comes back."""
 
+SAME_SIZE = 1.3
+"""Largest ratio of the sizes of one keypoint; beyond it E is hardly ever small."""
+
 ONE_PLACE = 16.27
 """D up to which two observations of one landmark are told from two landmarks: 99.9 %."""
 
@@ -118,13 +121,19 @@ class Compared:
     """(A, B): D of the difference, against both covariances and that of the poses."""
     descriptor_sq: np.ndarray
     """(A, B): E (19)."""
+    size_ratio: np.ndarray
+    """(A, B): of the larger keypoint to the smaller one, in metres."""
 
     @property
     def same(self) -> np.ndarray:
-        """(A, B) bool: the two are one place: nearest to each other, and within the gate."""
+        """(A, B) bool: the two are one keypoint.
+
+        They are nearest to each other and within the gate, and of one size: a corner of a poster
+        and the poster are two keypoints at one place.
+        """
         nearest = self.mahalanobis_sq <= self.mahalanobis_sq.min(axis=1, keepdims=True)
         nearest &= self.mahalanobis_sq <= self.mahalanobis_sq.min(axis=0, keepdims=True)
-        return nearest & (self.mahalanobis_sq <= GATE)
+        return nearest & (self.mahalanobis_sq <= GATE) & (self.size_ratio <= SAME_SIZE)
 
 
 def compared(first: View, second: View, poses: PoseSigma) -> Compared:
@@ -134,10 +143,13 @@ def compared(first: View, second: View, poses: PoseSigma) -> Compared:
     of_first = turn @ unpack(first.seen.covariances) @ turn.T + _of_poses(points, poses)
     total = of_first[:, None] + unpack(second.seen.covariances)[None]
     difference = second.seen.positions[None] - points[:, None]
+    sizes = [view.seen.sizes / view.seen.pixels[:, 2] for view in (first, second)]
+    ratio = np.log(sizes[0])[:, None] - np.log(sizes[1])
     information = unpack(inverses(pack(total).reshape(-1, 6))).reshape(total.shape)
     return Compared(
         mahalanobis_sq=np.einsum("abi,abij,abj->ab", difference, information, difference),
         descriptor_sq=np.maximum(2 - 2 * first.seen.descriptors @ second.seen.descriptors.T, 0),
+        size_ratio=np.exp(np.abs(ratio)),
     )
 
 
