@@ -77,7 +77,10 @@ def distinct(found: Keypoints, rows: np.ndarray, least: float) -> np.ndarray:
     What looks the same twice in one image, as repeated texture does, would be taken for each other
     in the map.
     """
-    distances = 2 - 2 * found.descriptors[rows] @ found.descriptors.T
-    column, row = (found.pixels[rows, None] - found.pixels[None]).transpose(2, 0, 1)
-    distances[column**2 + row**2 < APART_PX**2] = np.inf
-    return distances.min(axis=1, initial=np.inf) >= least
+    alike = found.descriptors[rows] @ found.descriptors.T > 1 - least / 2
+    one, other = np.nonzero(alike)
+    apart = found.pixels[rows[one]] - found.pixels[other]
+    is_other = (apart**2).sum(axis=1) >= APART_PX**2
+    result = np.ones(len(rows), bool)
+    result[one[is_other]] = False
+    return result

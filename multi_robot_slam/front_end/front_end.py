@@ -18,6 +18,9 @@ WORST_DISPARITY = 0.1
 """Standard deviation of a disparity over itself, at most: farther points are not Gaussian in (14).
 One standard deviation either way moves the depth by 9 % or by 11 %."""
 
+CANDIDATES = 3
+"""So many times as many points as are kept are looked at closely."""
+
 
 @dataclass(frozen=True)
 class Counts:
@@ -39,7 +42,7 @@ class Counts:
     repeated: int
     """Looks like another point of the image."""
     surplus: int
-    """Good, but more than `observations`."""
+    """More than `observations`."""
     kept: int
 
 
@@ -80,9 +83,11 @@ class FrontEnd:
         search = Search(int(np.ceil(nearest_px)), settings.correlation)
         coarse, fates = searched(left, right, points, search)
         matched = np.flatnonzero(fates == kernels.FOUND)
-        disparities, information = refined(left, right, points[matched], coarse[matched])
+        most = CANDIDATES * settings.observations
+        tried = matched[spread(points[matched], left.shape, most)]
+        disparities, information = refined(left, right, points[tried], coarse[tried])
         is_steady = information > 0
-        steady, information = matched[is_steady], information[is_steady]
+        steady, information = tried[is_steady], information[is_steady]
         pixels = np.column_stack([points[steady], disparities[is_steady]])
         sizes = found.sizes[steady] / settings.scale
         sigmas = pixel_sigmas(sizes, information, settings)
@@ -98,13 +103,16 @@ class FrontEnd:
             pixels=pixels[kept],
             sizes=sizes[kept],
             counts=Counts(
-                len(points),
-                *np.bincount(fates, minlength=kernels.FOUND)[: kernels.FOUND].tolist(),
-                len(matched) - len(steady),
-                len(steady) - len(near),
-                len(near) - len(alone),
-                len(alone) - len(kept),
-                len(kept),
+                keypoints=len(points),
+                outside=int((fates == kernels.OUTSIDE).sum()),
+                weak=int((fates == kernels.WEAK).sum()),
+                ambiguous=int((fates == kernels.AMBIGUOUS).sum()),
+                one_way=int((fates == kernels.ONE_WAY).sum()),
+                unsteady=len(tried) - len(steady),
+                far=len(steady) - len(near),
+                repeated=len(near) - len(alone),
+                surplus=len(matched) - len(tried) + len(alone) - len(kept),
+                kept=len(kept),
             ),
         )
 

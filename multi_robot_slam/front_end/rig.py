@@ -154,11 +154,10 @@ def _remapping(side: str, info: CameraInfo, rectify: bool, target: np.ndarray) -
             return None
         return cv2.initUndistortRectifyMap(source, None, np.eye(3), target, size, fixed)
     _require_lens(side, info)
+    model = (info.intrinsics, info.distortion, info.rotation, target, size, fixed)
     if info.distortion_model == "equidistant":
-        initialise = cv2.fisheye.initUndistortRectifyMap
-    else:
-        initialise = cv2.initUndistortRectifyMap
-    return initialise(info.intrinsics, info.distortion, info.rotation, target, size, fixed)
+        return cv2.fisheye.initUndistortRectifyMap(*model)
+    return cv2.initUndistortRectifyMap(*model)
 
 
 COEFFICIENTS = {"plumb_bob": (0, 4, 5), "rational_polynomial": (0, 8, 12, 14), "equidistant": (4,)}

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations, pairwise
 
 import cv2
@@ -42,7 +42,7 @@ KITTI_TRUTH = PoseSigma(0.015, 0.0006)
 """How far the two recordings' truth is off for one frame: what is left between the true motion of
 two frames and the one fitted to their several hundred common points, over the root of two."""
 
-AT_A_LOOP = PoseSigma(0.05, 0.01)
+AT_A_LOOP = PoseSigma(0.03, 0.006)
 """How well a robot knows its pose when it comes back."""
 
 SAME_SIZE = 1.3
@@ -536,8 +536,3 @@ def timing(pairs: StereoPairs, settings: CameraSettings, rounds: int = 3) -> Tim
         cv2.setNumThreads(threads)
     pair_ms, sift_ms = 1e3 * np.median(taken, axis=0)
     return Timing(float(pair_ms), float(sift_ms))
-
-
-def with_features(settings: CameraSettings, **changes: float) -> CameraSettings:
-    """The same settings with other ones of `FeatureSettings`."""
-    return replace(settings, features=replace(settings.features, **changes))
