@@ -5,7 +5,9 @@ from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Interval
 
+from msg_defs.errors import InputError
 from msg_defs.types import settings
+from multi_robot_slam.front_end.tag_families import FAMILIES
 
 DESCRIPTOR_GATE = 0.15
 """E_0 for descriptors of real pictures, where the filter's default is for simulated ones.
@@ -45,11 +47,35 @@ class TagSettings:
 
     family: Annotated[str, "family of the tags: 36h11, 4x4_50, ...; empty: none"] = ""
     size_m: Annotated[float, Gt(0), "side of a tag's black square [m]"] = 0.16
+    sigma_px: Annotated[
+        float, Gt(0), "least standard deviation of a corner's column and row, in each image [px]"
+    ] = 0.1
     on_robots: Annotated[
         tuple[tuple[int, int, float, float, float], ...],
-        "tags that robots carry: number, robot (its place in `robots`, from 0), and where the "
-        "tag's centre is on its base_link: forward, left, up [m]",
+        "tags that robots carry upright: number, robot (its place in `robots`, from 0), where the "
+        "tag's centre is on its base_link: forward, left [m], and where it faces: yaw [rad], 0 "
+        "ahead, pi / 2 to the left",
     ] = ()
+
+    def __post_init__(self) -> None:
+        if self.family and self.family not in FAMILIES:
+            raise InputError(
+                f"camera.tags.family = {self.family!r}: known are {', '.join(FAMILIES)}"
+            )
+        if self.on_robots and not self.family:
+            raise InputError("camera.tags.on_robots: no tags are looked for; set tags.family")
+        numbers = [number for number, *_ in self.on_robots]
+        for number, robot, *_ in self.on_robots:
+            if not 0 <= number < FAMILIES[self.family].numbers or numbers.count(number) > 1:
+                raise InputError(
+                    f"camera.tags.on_robots: tag {number}; give each once, "
+                    f"{self.family} has 0 to {FAMILIES[self.family].numbers - 1}"
+                )
+            if robot < 0:
+                raise InputError(
+                    f"camera.tags.on_robots: robot {robot} of tag {number}; give its place in "
+                    "robots, from 0"
+                )
 
 
 @settings
