@@ -33,6 +33,7 @@ from msg_defs.wire.images import (
     encode_camera_info,
     encode_compressed,
     encode_image,
+    packed_image,
     encode_packed,
 )
 from msg_defs.wire.messages import is_known, message_class, message_schema, peek_stamp
@@ -110,6 +111,7 @@ __all__ = [
     "is_known",
     "message_class",
     "message_schema",
+    "packed_image",
     "peek_stamp",
     "renamed",
 ]

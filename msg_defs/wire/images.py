@@ -166,6 +166,14 @@ def decode_compressed(data: bytes, what: str) -> Image:
     return Image(stamp_of(message.header, what), message.header.frame_id, encoding, pixels)
 
 
+def packed_image(data: bytes, what: str) -> bytes:
+    """The JPEG or PNG in a sensor_msgs/CompressedImage as it was sent: a whole file."""
+    message = decode(messages.CompressedImage, data, what)
+    packed = message.data.tobytes()
+    _require_whole(packed, message.format, what)
+    return packed
+
+
 def _damaged(message: Any, what: str) -> InputError:
     return InputError(
         f"{what}: {message.data.size} bytes of format {message.format!r} are no picture; publish "

@@ -128,7 +128,7 @@ class CameraHealth:
             "dropped": self.dropped,
             "looked at": self._seen,
             "features": counts.keypoints if counts else "",
-            "matches": counts.matched if counts else "",
+            "matches": counts.kept + counts.surplus if counts else "",
             "observations": len(self._last.positions) if self._last else "",
             "duration [ms]": f"{self._took_ms:.1f}",
             "changes of calibration": self._camera.calibration.changes,

@@ -144,7 +144,7 @@ class _Made:
                 continue
             made = self._result.robots[look.robot]
             made.pairs += 1
-            made.matched += sight.seen.counts.matched
+            made.matched += sight.seen.counts.kept + sight.seen.counts.surplus
             made.observations += len(sight.seen.positions)
             for topic, data in sight.messages:
                 self._put(topic, self._now_ns or 0, data)

@@ -15,6 +15,7 @@ from multi_robot_slam.pipeline import decoding, image_bags, refinement
 from multi_robot_slam.pipeline.cameras import Look
 from multi_robot_slam.pipeline.image_bags import Cameras, OnSight
 from multi_robot_slam.pipeline.pipeline import Pipeline
+from multi_robot_slam.pipeline.sights import Sight
 
 OnStep = Callable[[StepRecord], None]
 OnProgress = Callable[[int, int], None]
@@ -129,13 +130,18 @@ def estimate(
     where = BagReader(bag).find_namespace(_inputs(config), namespace)
     predictions = runs.Predictions()
     read = Tally()
-    sent = events(bag, config, pipeline.refuse, where, on_read=read.add)
+    seen = runs.ViewChoice()
+
+    def keep(look: Look, sight: Sight) -> None:
+        seen.add(look.robot, look.pair.stamp_ns, sight.messages)
+
+    sent = events(bag, config, pipeline.refuse, where, keep, read.add)
     total = count(bag, config, where)
     steps = run_through(
         pipeline, sent, lambda step: on_progress(read.count, total), predictions.add
     )
     run = assemble(pipeline, runs.recorded(bag, config.robots, where), steps, predictions)
-    run = replace(run, provenance=runs.here(scenario))
+    run = replace(run, views=seen.views(), provenance=runs.here(scenario))
     return refinement.complete(run, pipeline, with_refined=refine, with_yardstick=yardstick)
 
 

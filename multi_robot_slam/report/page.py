@@ -10,7 +10,7 @@ from plotly.offline import get_plotlyjs
 from msg_defs import scenario_file
 from msg_defs.errors import InputError
 from multi_robot_slam.config import SECTION
-from multi_robot_slam.report import charts, scene, size, slider
+from multi_robot_slam.report import charts, scene, sights, size, slider
 from multi_robot_slam.report.timeline import Timeline, timeline
 from multi_robot_slam.runs import Run, evaluation_table
 from multi_robot_slam.runs.evaluation import Figures
@@ -65,8 +65,10 @@ def page(run: Run, figures: Figures, title: str) -> str:
     times = timeline(run)
     drawn = charts.charts(run, times)
     pictures = {"scene": scene.figure(run, times), **drawn}
+    seen = sights.sights(run, times)
     data = {
         "frames": slider.frames(run, times),
+        "sights": seen,
         "figures": {name: json.loads(figure.to_json()) for name, figure in pictures.items()},
     }
     here = Path(__file__).with_name("template")
@@ -86,6 +88,7 @@ def page(run: Run, figures: Figures, title: str) -> str:
         sections=_sections(figures),
         number=evaluation_table.number,
         charts=drawn,
+        seen=seen,
         colours=scene.colours(run),
         layers=_layers(pictures["scene"]),
         scales=size.SCALES,

@@ -19,6 +19,7 @@ from multi_robot_slam.runs.run import (
 )
 from multi_robot_slam.runs.saving import write
 from multi_robot_slam.runs.text_files import to_tum
+from multi_robot_slam.runs.views import View, ViewChoice
 
 __all__ = [
     "EMPTY",
@@ -29,6 +30,8 @@ __all__ = [
     "Recorded",
     "RobotRun",
     "Run",
+    "View",
+    "ViewChoice",
     "assemble",
     "evaluate",
     "figures_in",

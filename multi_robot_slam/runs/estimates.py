@@ -16,6 +16,7 @@ from msg_defs.wire import Estimates
 from multi_robot_slam.bags import BagReader, BagWriter, absolute
 from multi_robot_slam.config import SECTION, Config
 from multi_robot_slam.runs.run import Recorded, Run, assemble
+from multi_robot_slam.runs.views import View
 
 FOLDER = "estimates"
 """Name of the bag in the folder of an offline run."""
@@ -179,7 +180,10 @@ class _Stream:
 
 
 def write(run: Run, folder: Path) -> None:
-    """Write what the fusion would have published into the bag `estimates` in `folder`."""
+    """Write what the fusion would have published into the bag `estimates` in `folder`.
+
+    And the run's views: the pictures may have been looked at by nobody but this run.
+    """
     end_ns = run.steps[-1].stamp_ns if run.steps else 0
     with BagWriter(Path(folder) / FOLDER) as bag:
         text = scenario_file.to_yaml(**{SECTION: run.config})
@@ -193,7 +197,14 @@ def write(run: Run, folder: Path) -> None:
 def _streams(run: Run) -> list[Iterator[tuple[int, Topic, bytes]]]:
     """Stamp, topic and bytes by stamp; of one stamp predictions come before the step."""
     predicted = (_predictions(name, robot.predicted) for name, robot in run.robots.items())
-    return [*predicted, _of_steps(run.steps)]
+    seen = (_views(name, views) for name, views in run.views.items())
+    return [*predicted, *seen, _of_steps(run.steps)]
+
+
+def _views(robot: str, views: Iterable[View]) -> Iterator[tuple[int, Topic, bytes]]:
+    for view in views:
+        for topic, data in view.messages(robot):
+            yield view.stamp_ns, topic, data
 
 
 def _predictions(robot: str, predicted: Estimates) -> Iterator[tuple[int, Topic, bytes]]:

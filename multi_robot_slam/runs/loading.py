@@ -10,7 +10,7 @@ from pathlib import Path
 from msg_defs import topics
 from msg_defs.errors import InputError
 from multi_robot_slam.bags import BagReader
-from multi_robot_slam.runs import estimates, recording, result
+from multi_robot_slam.runs import estimates, recording, result, views
 from multi_robot_slam.runs.provenance import Provenance
 from multi_robot_slam.runs.run import Run
 
@@ -55,7 +55,8 @@ def from_bag(path: Path, namespace: str | None = None) -> Run:
     wanted = [*estimates.topics_of(config.robots), *recording.topics_of(config.robots)]
     messages = reader.by_topic(wanted, found)
     recorded = recording.join(reader, messages, config.robots, found)
-    return estimates.join(reader, messages, config, recorded)
+    run = estimates.join(reader, messages, config, recorded)
+    return replace(run, views=views.load(reader, config.robots, run.steps, found))
 
 
 def from_folder(folder: Path) -> Run:
@@ -67,7 +68,10 @@ def from_folder(folder: Path) -> Run:
         _bag_of(folder), config.robots, result.figures_in(folder).get("namespace")
     )
     run = estimates.join(reader, messages, config, recorded)
-    return replace(run, provenance=_provenance(folder))
+    seen = views.load(reader, config.robots, run.steps)
+    if not seen and run.bag is not None:
+        seen = views.load(BagReader(run.bag), config.robots, run.steps, run.namespace)
+    return replace(run, views=seen, provenance=_provenance(folder))
 
 
 def _bag_of(folder: Path) -> Path:

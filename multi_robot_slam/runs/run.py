@@ -21,6 +21,7 @@ from msg_defs.wire import Estimates
 from multi_robot_slam.config import Config
 from multi_robot_slam.runs import predictions
 from multi_robot_slam.runs.provenance import Provenance
+from multi_robot_slam.runs.views import Views
 
 TEAM = "team"
 """Whose figures those of all robots together are."""
@@ -81,6 +82,8 @@ class Run:
     """Where the recording is; None if the run was never recorded."""
     namespace: str = ""
     """Under which the team's topics are in the recording: `/fleet`; the root is empty."""
+    views: Views = field(default_factory=dict)
+    """What the cameras saw at some keyframes; empty where no pictures were recorded."""
     provenance: Provenance | None = None
     """What made the estimates, and where; None if nobody noted it."""
 

@@ -2,14 +2,14 @@
 
 // ---- data: figures as Plotly takes them, and what the slider shows
 
-const {frames, figures} = JSON.parse(document.getElementById("data").textContent);
+const {frames, figures, sights} = JSON.parse(document.getElementById("data").textContent);
 const TYPES = {f4: Float32Array, f8: Float64Array, i4: Int32Array};
 
 function unpacked({dtype, bdata}) {
   return new TYPES[dtype](Uint8Array.from(atob(bdata), c => c.charCodeAt(0)).buffer);
 }
 
-for (const part of [frames, frames.landmarks, ...Object.values(frames.robots)]) {
+for (const part of [frames, frames.landmarks, ...Object.values(frames.robots), ...Object.values(sights)]) {
   for (const [key, value] of Object.entries(part)) {
     if (value && value.bdata !== undefined) part[key] = unpacked(value);
   }
@@ -207,6 +207,43 @@ function moveCursors() {
   }
 }
 
+// ---- what the cameras saw
+
+const SVG = "http://www.w3.org/2000/svg";
+const MARKS = [
+  ["matched", "circle", ([x, y]) => ({cx: x, cy: y, r: 2})],
+  ["new", "circle", ([x, y]) => ({cx: x, cy: y, r: 2.2})],
+  ["rejected", "path", ([x, y]) => ({d: `M${x - 2.2},${y - 2.2}l4.4,4.4m0,-4.4l-4.4,4.4`})],
+];
+
+function mark(kind, place) {
+  const [name, shape, attributes] = MARKS[kind], element = document.createElementNS(SVG, shape);
+  element.setAttribute("class", name);
+  for (const [key, value] of Object.entries(attributes(place))) element.setAttribute(key, value);
+  return element;
+}
+
+// The newest picture at the chosen time; before the first, none.
+function drawSights() {
+  for (const figure of document.querySelectorAll("[data-sight]")) {
+    const name = figure.dataset.sight, seen = sights[name];
+    let shown = seen.instants.length - 1;
+    while (shown >= 0 && seen.instants[shown] > state.step) shown--;
+    figure.hidden = state.hidden.has(`robot ${name}`);
+    if (figure.dataset.shown === String(shown)) continue;
+    figure.dataset.shown = shown;
+    const image = figure.querySelector("img"), marks = [];
+    image.style.visibility = shown < 0 ? "hidden" : "visible";
+    image.src = `data:image/jpeg;base64,${seen.pictures[Math.max(shown, 0)]}`;
+    for (let n = seen.starts[shown] ?? 0; n < (seen.starts[shown + 1] ?? 0) && shown >= 0; n++) {
+      marks.push(mark(seen.kinds[n], seen.points.subarray(2 * n, 2 * n + 2)));
+    }
+    figure.querySelector("svg").replaceChildren(...marks);
+    const counts = MARKS.map(([kind]) => `${marks.filter(m => m.getAttribute("class") === kind).length} ${kind}`);
+    figure.querySelector("output").textContent = shown < 0 ? "no picture yet" : `${seen.taken[shown].toFixed(1)} s: ${counts.join(", ")}`;
+  }
+}
+
 // ---- time
 
 const slider = document.getElementById("time-slider");
@@ -230,6 +267,7 @@ async function draw() {
     await new Promise(requestAnimationFrame);
     drawn = state.step;
     moveCursors();
+    drawSights();
     await drawScene();
   }
   isDrawing = false;
@@ -286,7 +324,7 @@ function readControls() {
   state.trail = Number(controls.elements.trail.value);
 }
 
-controls.addEventListener("change", () => { readControls(); drawScene(); });
+controls.addEventListener("change", () => { readControls(); drawSights(); drawScene(); });
 controls.addEventListener("click", ({target}) => {
   if (target.dataset.view) look(fitted(CAMERAS[target.dataset.view]));
   if (target.dataset.zoom) look(moved(figures.scene.layout.scene.camera, Number(target.dataset.zoom)));
