@@ -77,11 +77,12 @@ class Sensor(NamedTuple):
     """Standard deviation in the dark [grey values]."""
 
 
-def _kernel(function):
+def kernel(function):
+    """Compile: plain arrays and numbers, without the interpreter's lock."""
     return numba.njit(cache=True, nogil=True, error_model="numpy")(function)
 
 
-@_kernel
+@kernel
 def expose(light, weight, view, walls, people, backdrop):
     """Add `weight` times what `view` sees to `light` (width, height) float32, in place.
 
@@ -113,7 +114,7 @@ def expose(light, weight, view, walls, people, backdrop):
             begin = end
 
 
-@_kernel
+@kernel
 def _spans(width, view, segments):
     """Ends (n,) of the parts of the image's width, and the wall (n,) that is nearest in each.
 
@@ -137,7 +138,7 @@ def _spans(width, view, segments):
     return ends, nearest
 
 
-@_kernel
+@kernel
 def _nearest(x, view, segments):
     """The wall that is seen in column `x`."""
     best, found = np.inf, NOTHING
@@ -148,7 +149,7 @@ def _nearest(x, view, segments):
     return found
 
 
-@_kernel
+@kernel
 def _meet(x, view, segment):
     """Depth [m] at which column `x` meets a wall's plane, and where: 0 and 1 are its ends.
 
@@ -166,7 +167,7 @@ def _meet(x, view, segment):
     return facing / crossing, (to_x * ray_y - to_y * ray_x) / crossing
 
 
-@_kernel
+@kernel
 def _covered(begin, end, view, segment, count):
     """The columns of texels, as an interval, that the image's columns `begin` to `end` show."""
     left, from_second = 0.0, float(count)
@@ -179,7 +180,7 @@ def _covered(begin, end, view, segment, count):
     return _widened(left, from_second, count)
 
 
-@_kernel
+@kernel
 def _widened(low, high, count):
     """An interval of at least one texel around the same centre, within 0 and `count`.
 
@@ -190,7 +191,7 @@ def _widened(low, high, count):
     return max(centre - half, 0.0), min(centre + half, float(count))
 
 
-@_kernel
+@kernel
 def _running_sums(sums, texels, first, low, high):
     """Means over the columns of texels `low` to `high`, summed from the top down."""
     rows = texels.shape[1]
@@ -204,14 +205,14 @@ def _running_sums(sums, texels, first, low, high):
         sums[v + 1] = sums[v] + strip[v]
 
 
-@_kernel
+@kernel
 def _at(sums, v):
     """The running sum down to `v`, between texels by their share."""
     k = min(int(v), len(sums) - 2)
     return sums[k] + (v - k) * (sums[k + 1] - sums[k])
 
 
-@_kernel
+@kernel
 def _scale(depth, view, height, rows):
     """Texel `a + b j` is what the centre of row j shows."""
     per_m = rows / height
@@ -219,7 +220,7 @@ def _scale(depth, view, height, rows):
     return (height - view.eye[2]) * per_m - b * view.centre[1], b
 
 
-@_kernel
+@kernel
 def _inner_rows(a, b, rows, height):
     """Rows `first` to before `last` whose pixels, and a texel's width, lie within the picture."""
     half = 0.5 * max(b, 1.0)
@@ -228,7 +229,7 @@ def _inner_rows(a, b, rows, height):
     return first, last
 
 
-@_kernel
+@kernel
 def _share_and_mean(sums, a, b, j):
     """The share of row j's pixel that lies within the picture, and the mean of what it shows."""
     rows = len(sums) - 1
@@ -241,7 +242,7 @@ def _share_and_mean(sums, a, b, j):
     return (bottom - top) / b, (_at(sums, high) - _at(sums, low)) / (high - low)
 
 
-@_kernel
+@kernel
 def _wall_column(column, sums, begin, end, view, walls, wall, backdrop):
     """Fill `column` (height,) with what the image's columns `begin` to `end` show; its depth."""
     height = len(column)
@@ -269,7 +270,7 @@ def _wall_column(column, sums, begin, end, view, walls, wall, backdrop):
     return depth
 
 
-@_kernel
+@kernel
 def _person_column(column, sums, opacity_sums, begin, end, wall_depth, view, people, p):
     """Put the person `p` before what `column` shows, where there is one and no wall before it."""
     segment, count = people.segments[p], people.counts[p]
@@ -292,7 +293,7 @@ def _person_column(column, sums, opacity_sums, begin, end, wall_depth, view, peo
             column[j] += beside * share * (light - opacity / 255 * column[j])
 
 
-@_kernel
+@kernel
 def _seen_at(view, x, y):
     """The column in which a place is seen, or no number where it is not before the camera."""
     dx, dy = x - view.eye[0], y - view.eye[1]
@@ -303,7 +304,7 @@ def _seen_at(view, x, y):
     return view.centre[0] + view.focal_px * right / depth
 
 
-@_kernel
+@kernel
 def read_out(light, sensor, noise, seed):
     """(height, width) uint8 of the `light` (width, height).
 
@@ -329,7 +330,7 @@ def read_out(light, sensor, noise, seed):
     return image
 
 
-@_kernel
+@kernel
 def _hash(number):
     """64 bits that look random (the finaliser of SplitMix64)."""
     number = (number + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
