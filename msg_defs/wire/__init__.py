@@ -33,8 +33,8 @@ from msg_defs.wire.images import (
     encode_camera_info,
     encode_compressed,
     encode_image,
-    packed_image,
     encode_packed,
+    packed_image,
 )
 from msg_defs.wire.messages import is_known, message_class, message_schema, peek_stamp
 from msg_defs.wire.pictures import decode_walls, encode_markers, encode_walls

@@ -17,7 +17,6 @@ from multi_robot_slam.smoothing.marginals import landmark_deviations
 from multi_robot_slam.smoothing.problem import Problem
 from multi_robot_slam.smoothing.solve import Smoothed, SmoothingError
 
-
 AT_A_TIME = 512
 """Pairs whose joint covariances are looked at together: some 10 MB."""
 
@@ -143,7 +142,7 @@ def _may_be_within(
     np.minimum.at(range_sq, problem.landmarks, np.sum(problem.positions[:, :2] ** 2, axis=1))
     own = smoothed.landmarks[:, [3, 6, 8]].sum(axis=1) + 2 * (place + range_sq * yaw)
     apart = smoothed.landmarks[pairs[:, 0], :3] - smoothed.landmarks[pairs[:, 1], :3]
-    return np.sum(apart**2, axis=1) <= 2 * limit * own[pairs].sum(axis=1)
+    return np.asarray(np.sum(apart**2, axis=1) <= 2 * limit * own[pairs].sum(axis=1))
 
 
 def _least_certain(problem: Problem, smoothed: Smoothed) -> tuple[float, float]:
