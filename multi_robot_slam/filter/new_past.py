@@ -163,7 +163,14 @@ def _smooth(
         start = solve.smooth(problem, poses, settings.robust_above, NEAR_ENOUGH, start)
         return problem, start
 
-    return joining.smooth_and_join(smoothed_with, poses, alike, settings.gate, settings.exclusive)
+    return joining.smooth_and_join(
+        smoothed_with,
+        poses,
+        alike,
+        settings.gate,
+        settings.exclusive,
+        settings.correlated,
+    )
 
 
 def _first_guess(old: Snapshot, lineage: Sequence[tuple[Record, np.ndarray]]) -> np.ndarray:

@@ -94,6 +94,13 @@ class FilterSettings:
         "where the covariance of a stereo observation is taken: at the measured point, as it "
         "comes, or at the landmark that it is of, which does not depend on its own error",
     ] = "measurement"
+    correlated: Annotated[
+        float,
+        Ge(1),
+        "factor on the covariances of observations, where errors of successive ones are alike: "
+        "1 + 2 sum (1 - k / n) r_k for n observations of a landmark whose errors correlate by r_k "
+        "k frames apart; a camera's do, for the same texture fools it again",
+    ] = 1.0
     threads: Annotated[
         int, Interval(ge=0, le=256), "threads of the filter; 0 chooses; no effect on results"
     ] = 0

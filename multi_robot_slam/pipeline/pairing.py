@@ -37,6 +37,7 @@ class RobotInputs:
         self.odometry = Odometry(config.plausible, drop)
         self._drop = drop
         self._mount = config.mount_of(index)
+        self._correlated = np.float32(config.filter.correlated)
         self._sends_sightings = config.sightings
         self._sightings: deque[Sightings] = deque()
 
@@ -90,6 +91,8 @@ class RobotInputs:
         """
         motion, seconds = self.odometry.motion_to(stamp_ns)
         seen = _nothing(self.name, stamp_ns) if observations is None else observations
+        if self._correlated != 1:
+            seen = replace(seen, covariances=self._correlated * seen.covariances)
         return RobotFrame.from_camera(self.index, motion, seconds, seen, self._mount, sightings)
 
     def count(self, seen: int = 0, used: int = 0) -> None:

@@ -15,6 +15,7 @@ from multi_robot_slam.pipeline.pipeline import Pipeline
 from multi_robot_slam.runs import Run
 from multi_robot_slam.smoothing import joining, marginals, solve
 from multi_robot_slam.smoothing.aliases import Aliases
+from multi_robot_slam.smoothing.known_distance import covariances_of
 from multi_robot_slam.smoothing.odometry_scale import Scales, learn
 from multi_robot_slam.smoothing.prior import Prior
 from multi_robot_slam.smoothing.problem import Problem, problem_of
@@ -116,7 +117,12 @@ def refine(lineage: Lineage, landmarks: LandmarkMap, config: Config) -> Refined:
         return problem, smoothed
 
     problem, smoothed, _ = joining.smooth_and_join(
-        smoothed_with, poses, alike, settings.gate, settings.exclusive
+        smoothed_with,
+        poses,
+        alike,
+        settings.gate,
+        settings.exclusive,
+        settings.correlated,
     )
     paths = _trajectories(records, smoothed.of_records, config)
     return Refined(paths, _map(problem, smoothed, landmarks))
@@ -163,13 +169,20 @@ def _smooth(
     """The optimum of the paths and of the odometry's factors, from `poses` (P, 3) and `scales`."""
     motion, prior = config.filter.motion, Prior.exact(np.array(config.start_poses))
     motions = np.array([record.motion for record in records])
+    covariances, is_final = None, config.filter.noise_at == "measurement"
     for _ in range(MOST_ROUNDS):
-        problem = problem_of(records, identities, prior, motion, scales.factors)
+        problem = problem_of(
+            records, identities, prior, motion, scales.factors, covariances=covariances
+        )
         smoothed = solve.smooth(problem, poses, robust_above)
         learnt = learn(scales, problem, smoothed, motions, fixed=0.0)
-        if np.abs(learnt.factors - scales.factors).max() < SMALLEST_CHANGE:
+        if is_final and np.abs(learnt.factors - scales.factors).max() < SMALLEST_CHANGE:
             break
         scales, poses = learnt, smoothed.of_records
+        if not is_final:
+            places = smoothed.landmarks[:, :3]
+            covariances = covariances_of(records, identities, poses, problem.ids, places)
+            is_final = True
     return problem, smoothed, scales
 
 
@@ -190,15 +203,19 @@ def _trajectories(
 
 
 def _map(problem: Problem, smoothed: Smoothed, landmarks: LandmarkMap) -> LandmarkMap:
+    """Of those that the filter's map still has: of others the descriptor is forgotten."""
     robots = np.zeros(len(problem.ids), np.uint32)
     np.bitwise_or.at(robots, problem.landmarks, _bits(problem))
+    order = np.argsort(landmarks.ids)
+    has = np.flatnonzero(np.isin(problem.ids, landmarks.ids))
+    known = order[np.searchsorted(landmarks.ids[order], problem.ids[has])]
     return LandmarkMap(
-        ids=landmarks.ids[problem.ids],
-        positions=smoothed.landmarks[:, :3].astype(np.float32),
-        covariances=_marginal_covariances(problem, smoothed).astype(np.float32),
-        observations=np.diff(problem.starts).astype(np.uint32),
-        robots=robots,
-        descriptors=landmarks.descriptors[problem.ids],
+        ids=landmarks.ids[known],
+        positions=smoothed.landmarks[has, :3].astype(np.float32),
+        covariances=_marginal_covariances(problem, smoothed)[has].astype(np.float32),
+        observations=np.diff(problem.starts)[has].astype(np.uint32),
+        robots=robots[has],
+        descriptors=landmarks.descriptors[known],
     )
 
 

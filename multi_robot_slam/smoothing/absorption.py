@@ -221,7 +221,8 @@ def _belief(leaving: Leaving, kept: np.ndarray | None) -> Belief:
     moves = (jacobians @ step).reshape(-1, 3)
     is_new = _is_new(problem)
     if kept is not None:
-        jacobians = jacobians.reshape(len(landmarks), 3, -1)[kept].reshape(3 * len(kept), -1)
+        jacobians = jacobians.reshape(len(landmarks), 3, columns[-1])[kept]
+        jacobians = jacobians.reshape(3 * len(kept), columns[-1])
         landmarks, covariances, moves = landmarks[kept], covariances[kept], moves[kept]
         is_new = is_new[kept]
     of_landmarks = (jacobians @ deviations).reshape(len(landmarks), 3, deviations.shape[1])

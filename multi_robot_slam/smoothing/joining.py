@@ -2,7 +2,7 @@
 
 A particle that misses a loop creates landmarks anew, and smoothing alone cannot know. Two landmarks
 are joined when they look alike (E <= E_0) and lie together: D, with the joint covariance that the
-smoothing gives them, inside `widened_gate`.
+smoothing gives them, inside `joining_gate`.
 """
 
 from collections.abc import Callable
@@ -36,6 +36,7 @@ def smooth_and_join(
     alike: np.ndarray,
     gate: float,
     exclusive: bool,
+    correlated: float = 1.0,
 ) -> tuple[Problem, Smoothed, Aliases]:
     """Smooth, join landmarks that turn out to be one, and repeat until none do.
 
@@ -45,7 +46,7 @@ def smooth_and_join(
         from the poses given (P, 3).
     poses : (P, 3) to start from.
     alike : (A, 2) ids of landmarks that look alike.
-    gate, exclusive : as in the filter's settings.
+    gate, exclusive, correlated : as in the filter's settings.
 
     Returns
     -------
@@ -59,7 +60,8 @@ def smooth_and_join(
         pairs = _distinct(aliases.of(alike))
         pairs = pairs[np.isin(pairs, problem.ids).all(axis=1)]
         rows = np.searchsorted(problem.ids, pairs)
-        joined = closest_pairs(problem, smoothed, rows, gate, exclusive)
+        limit = joining_gate(gate, len(problem.positions), correlated)
+        joined = closest_pairs(problem, smoothed, rows, limit, exclusive)
         if not len(joined):
             return problem, smoothed, aliases
         poses, aliases = smoothed.of_records, aliases.joined(problem.ids[joined])
@@ -72,13 +74,12 @@ def _distinct(pairs: np.ndarray) -> np.ndarray:
 
 
 def closest_pairs(
-    problem: Problem, smoothed: Smoothed, pairs: np.ndarray, gate: float, exclusive: bool
+    problem: Problem, smoothed: Smoothed, pairs: np.ndarray, limit: float, exclusive: bool
 ) -> np.ndarray:
-    """The closest of `pairs` (A, 2) of landmarks within the gate, each landmark in one at most.
+    """The closest of `pairs` (A, 2) of landmarks with D up to `limit`, each in one at most.
 
     With `exclusive` no two that some frame has seen both.
     """
-    limit = widened_gate(gate, len(problem.positions))
     if exclusive:
         pairs = pairs[~_seen_together(problem, pairs)]
     pairs = pairs[_may_be_within(problem, smoothed, pairs, limit)]
@@ -100,6 +101,15 @@ def closest_pairs(
             chosen.append(pair)
             taken.update(pair.tolist())
     return np.array(chosen, int).reshape(-1, 2)
+
+
+def joining_gate(gate: float, observations: int, correlated: float) -> float:
+    """D up to which two landmarks are one: `widened_gate`, where each may have one detection.
+
+    Where covariances are `correlated` times those of an observation a detector finds many points
+    beside each other that look alike: then the gate as the single observation has it.
+    """
+    return widened_gate(gate, observations) if correlated == 1 else gate / correlated
 
 
 def widened_gate(gate: float, observations: int) -> float:
@@ -142,7 +152,8 @@ def _may_be_within(
     np.minimum.at(range_sq, problem.landmarks, np.sum(problem.positions[:, :2] ** 2, axis=1))
     own = smoothed.landmarks[:, [3, 6, 8]].sum(axis=1) + 2 * (place + range_sq * yaw)
     apart = smoothed.landmarks[pairs[:, 0], :3] - smoothed.landmarks[pairs[:, 1], :3]
-    return np.asarray(np.sum(apart**2, axis=1) <= 2 * limit * own[pairs].sum(axis=1))
+    possible: np.ndarray = np.sum(apart**2, axis=1) <= 2 * limit * own[pairs].sum(axis=1)
+    return possible
 
 
 def _least_certain(problem: Problem, smoothed: Smoothed) -> tuple[float, float]:
@@ -169,4 +180,5 @@ def _seen_together(problem: Problem, pairs: np.ndarray) -> np.ndarray:
     seen = np.zeros((len(wanted), problem.poses), bool)
     seen[rows[known], problem.seen_from[known]] = True
     packed = np.packbits(seen, axis=1)
-    return (packed[places[:, 0]] & packed[places[:, 1]]).any(axis=1)
+    together: np.ndarray = (packed[places[:, 0]] & packed[places[:, 1]]).any(axis=1)
+    return together
