@@ -150,6 +150,20 @@ class Config:
                 f"mounts: {len(self.mounts)} for {count} robots; give forward, left, up, roll, "
                 "pitch, yaw of each, or none and `mount` for all"
             )
+        self._require_tags_of_robots()
+
+    def _require_tags_of_robots(self) -> None:
+        for number, robot, *_ in self.camera.tags.on_robots:
+            if robot >= len(self.robots):
+                raise InputError(
+                    f"camera.tags.on_robots: robot {robot} of tag {number}; give its place in "
+                    f"robots: 0 to {len(self.robots) - 1}"
+                )
+        if self.camera.tags.on_robots and not self.sightings:
+            raise InputError(
+                "camera.tags.on_robots: robots carry tags, but sightings is false, so that nobody "
+                "would hear of them; set sightings: true"
+            )
 
     def mount_of(self, robot: int) -> CameraMount:
         """Where the camera sits on the robot with this index in the team."""

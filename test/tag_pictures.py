@@ -1,5 +1,6 @@
 """Synthetic pictures of tags: planes in space, seen by both cameras of a rig."""
 
+from functools import cache
 from typing import NamedTuple
 
 import cv2
@@ -9,7 +10,7 @@ from multi_robot_slam.front_end.rig import StereoRig
 
 RIG = StereoRig(450.0, (320.0, 240.0), 0.12, 640, 480)
 SIZE_M = 0.16
-FINER = 8
+FINER = 6
 """Rays through a pixel, in each direction; they are jittered, so that no edge falls on a grid."""
 
 
@@ -42,6 +43,7 @@ class Tag(NamedTuple):
         return self.centre + np.array([[-1, 1], [1, 1], [1, -1], [-1, -1]]) * half @ self.axes().T
 
 
+@cache
 def backdrop(seed: int = 0, rig: StereoRig = RIG) -> np.ndarray:
     """(H, W) uint8: something that is no tag."""
     noise = np.random.default_rng(seed).normal(size=(rig.height_px, rig.width_px))

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from multi_robot_slam.front_end import kernels
+from multi_robot_slam.front_end import kernels, tags
 from multi_robot_slam.front_end.covariance import pixel_sigmas, propagated
 from multi_robot_slam.front_end.disparity import Search, refined, searched
 from multi_robot_slam.front_end.features import Keypoints, distinct, spread
 from multi_robot_slam.front_end.rig import StereoRig
 from multi_robot_slam.front_end.settings import CameraSettings, FeatureSettings
+from multi_robot_slam.front_end.tags import Tags
 
 WORST_DISPARITY = 0.1
 """Standard deviation of a disparity over itself, at most: farther points are not Gaussian in (14).
@@ -35,6 +36,8 @@ class Counts:
     """Another place on the row fits as well."""
     one_way: int
     """The right image's point fits another point of the left one better."""
+    on_tag: int
+    """On a tag, which is seen as a whole: its pattern resembles that of others, and may move."""
     unsteady: int
     """The disparity depends on the window that is compared: an edge in depth, or no texture."""
     far: int
@@ -48,7 +51,7 @@ class Counts:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """What one stereo pair shows: B points."""
+    """What one stereo pair shows: B points, the last of which are tags."""
 
     positions: np.ndarray
     """(B, 3) float32: X right, Y up, Z forward, of the rectified left camera [m]."""
@@ -61,6 +64,8 @@ class Seen:
     sizes: np.ndarray
     """(B,) float64: diameter of the keypoint in that image [px]."""
     counts: Counts
+    tags: Tags
+    """The tags among them, robots that carry others, and what became of all."""
 
 
 class FrontEnd:
@@ -78,11 +83,13 @@ class FrontEnd:
         """
         left, right = self.rig.rectified(left, right)
         settings = self.settings.features
+        known = tags.find(left, right, self.rig, self.settings.tags)
         found, points = _keypoints(left, settings)
         nearest_px = self.rig.focal_px * self.rig.baseline_m / settings.nearest_m
         search = Search(int(np.ceil(nearest_px)), settings.correlation)
         coarse, fates = searched(left, right, points, search)
-        matched = np.flatnonzero(fates == kernels.FOUND)
+        counted = np.bincount(fates, minlength=kernels.FOUND + 1).tolist()
+        matched = np.flatnonzero((fates == kernels.FOUND) & ~known.cover(points))
         most = CANDIDATES * settings.observations
         tried = matched[spread(points[matched], left.shape, most)]
         disparities, information = refined(left, right, points[tried], coarse[tried])
@@ -96,24 +103,28 @@ class FrontEnd:
         near = np.flatnonzero(is_near)
         alone = near[distinct(found, steady[near], settings.distinct)]
         kept = alone[spread(pixels[alone, :2], left.shape, settings.observations)]
+        places = self.rig.point(*pixels[kept].T).astype(np.float32)
+        covariances = propagated(self.rig, pixels[kept], sigmas[kept]).astype(np.float32)
         return Seen(
-            positions=self.rig.point(*pixels[kept].T).astype(np.float32),
-            covariances=propagated(self.rig, pixels[kept], sigmas[kept]).astype(np.float32),
-            descriptors=found.descriptors[steady[kept]],
-            pixels=pixels[kept],
-            sizes=sizes[kept],
+            positions=np.concatenate([places, known.positions]),
+            covariances=np.concatenate([covariances, known.covariances]),
+            descriptors=np.concatenate([found.descriptors[steady[kept]], known.descriptors]),
+            pixels=np.concatenate([pixels[kept], known.pixels]),
+            sizes=np.concatenate([sizes[kept], known.sides_px]),
             counts=Counts(
                 keypoints=len(points),
-                outside=int((fates == kernels.OUTSIDE).sum()),
-                weak=int((fates == kernels.WEAK).sum()),
-                ambiguous=int((fates == kernels.AMBIGUOUS).sum()),
-                one_way=int((fates == kernels.ONE_WAY).sum()),
+                outside=counted[kernels.OUTSIDE],
+                weak=counted[kernels.WEAK],
+                ambiguous=counted[kernels.AMBIGUOUS],
+                one_way=counted[kernels.ONE_WAY],
+                on_tag=counted[kernels.FOUND] - len(matched),
                 unsteady=len(tried) - len(steady),
                 far=len(steady) - len(near),
                 repeated=len(near) - len(alone),
                 surplus=len(matched) - len(tried) + len(alone) - len(kept),
                 kept=len(kept),
             ),
+            tags=known,
         )
 
 

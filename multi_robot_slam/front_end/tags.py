@@ -20,8 +20,8 @@ from multi_robot_slam.front_end.tag_corners import refined
 from multi_robot_slam.front_end.tag_families import FAMILIES, descriptors
 from multi_robot_slam.models.symmetric import pack
 
-MOST_BLURRED_PX = 0.5
-"""Points of an edge that scatter more about its line are no edge of a tag."""
+MOST_BLURRED_PX = 0.25
+"""Corners that are less exact are blurred, or something covers an edge of their tag."""
 FARTHEST_MOVED_PX = 3.0
 """A corner that is refined by more has left its tag."""
 MOST_ROWS_PX = 2.0
@@ -48,7 +48,7 @@ class TagCounts:
     one_sided: int = 0
     """Not in the right image, or there on other rows."""
     blurred: int = 0
-    """No four straight edges."""
+    """Without four straight edges, or partly covered."""
     far: int = 0
     """Disparity too small for its error."""
     other_size: int = 0
@@ -81,6 +81,8 @@ class Tags:
     """(T, 128) float32: `tag_families.descriptors` of the numbers."""
     pixels: np.ndarray
     """(T, 3) float64: column, row, disparity of the centre [px]."""
+    sides_px: np.ndarray
+    """(T,) float64: side of each as it would look from straight ahead [px]."""
     robots: RobotsSeen
     counts: TagCounts
     outlines: np.ndarray
@@ -162,6 +164,7 @@ def find(left: np.ndarray, right: np.ndarray, rig: StereoRig, settings: TagSetti
         covariances=pack(covariances).astype(np.float32),
         descriptors=descriptors(still.numbers),
         pixels=rig.pixel(positions),
+        sides_px=rig.focal_px * settings.size_m / positions[:, 2],
         robots=_robots(squares.only(carried), robots, settings.size_m),
         counts=TagCounts(seen=len(seen.numbers), ambiguous=ambiguous, **counts),
         outlines=seen.corners,

@@ -191,7 +191,9 @@ def _chosen(config: Config, only: str) -> tuple[str, ...]:
 
 def _outputs(config: Config, robot: str) -> list[Topic]:
     previews = [topics.preview(robot), topics.preview_info(robot)]
-    return [topics.observations(robot), *(previews if config.camera.preview_px else [])]
+    sightings = [topics.sightings(robot)] if config.camera.tags.on_robots else []
+    previews = previews if config.camera.preview_px else []
+    return [topics.observations(robot), *sightings, *previews]
 
 
 def _timed(look: Look, config: Config) -> tuple[Sight, float]:

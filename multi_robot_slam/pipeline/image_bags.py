@@ -1,6 +1,6 @@
 """The cameras in a bag: whose pictures were recorded, and the pairs to look at among them."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import partial
 from typing import Literal
@@ -8,7 +8,7 @@ from typing import Literal
 from msg_defs import topics, wire
 from msg_defs.errors import InputError
 from msg_defs.topics import Topic
-from msg_defs.types import EncodedObservations, ObservationSet, PoseSample
+from msg_defs.types import EncodedObservations, Event, ObservationSet, PoseSample
 from multi_robot_slam.bags import BagReader, absolute
 from multi_robot_slam.config import Config
 from multi_robot_slam.front_end.settings import CameraSettings
@@ -125,10 +125,29 @@ class Cameras:
             yield from camera.rest()
 
 
-def encoded(look: Look, config: Config, on_sight: OnSight) -> EncodedObservations:
-    """A pair as a frame that is looked at when it is used; then `on_sight` is told."""
-    decode = partial(_decoded, look, config, on_sight)
-    return EncodedObservations(look.robot, look.pair.stamp_ns, decode)
+def frames(
+    looks: Iterable[Look], config: Config, on_sight: OnSight, refuse: Callable[[InputError], None]
+) -> Iterator[Event]:
+    """Pairs as frames that are looked at when they are used; then `on_sight` is told.
+
+    Where robots carry tags, all are looked at here: who is in view decides which frames are used.
+    """
+    for look in looks:
+        if not config.camera.tags.on_robots:
+            decode = partial(_decoded, look, config, on_sight)
+            yield EncodedObservations(look.robot, look.pair.stamp_ns, decode)
+            continue
+        try:
+            sight = see(look, config)
+        except InputError as error:
+            refuse(error)
+            continue
+        on_sight(look, sight)
+        decode = partial(
+            wire.decode_observations, sight.observations, look.robot, config.camera_frame
+        )
+        yield EncodedObservations(look.robot, look.pair.stamp_ns, decode)
+        yield wire.decode_sightings(sight.sightings, look.robot, config.camera_frame)
 
 
 def _decoded(look: Look, config: Config, on_sight: OnSight) -> ObservationSet:

@@ -18,8 +18,10 @@ from multi_robot_slam.pipeline.sights import see
 OnProgress = Callable[[int, int], None]
 """Told how many messages have been read, and how many there are."""
 
-MADE = (topics.observations, topics.sightings, topics.preview, topics.preview_info)
+MADE = (topics.observations, topics.preview, topics.preview_info)
 """What is written of each robot; what was recorded of it is replaced."""
+MADE_OF_TAGS = (*MADE, topics.sightings)
+"""The same where robots carry tags."""
 
 
 @dataclass
@@ -83,7 +85,7 @@ def write(
             warn(f"dropped {error}")
 
     cameras = Cameras(config, robots, refuse)
-    copied, result.left_out = _copied(reader, cameras, where, keep_images)
+    copied, result.left_out = _copied(reader, cameras, where, config, keep_images)
     inputs = {absolute(topic.name, where): topic for topic in cameras.inputs}
     total = reader.summary.message_count
     with BagWriter(out) as writer:
@@ -100,10 +102,11 @@ def write(
 
 
 def _copied(
-    reader: BagReader, cameras: Cameras, where: str, keep_images: bool
+    reader: BagReader, cameras: Cameras, where: str, config: Config, keep_images: bool
 ) -> tuple[Mapping[str, Topic], list[str]]:
     """Topics to copy, by their names, and the names of those that cannot be."""
-    replaced = [kind(robot) for robot in cameras.robots for kind in MADE] + [topics.FUSION_CONFIG]
+    made = MADE_OF_TAGS if config.camera.tags.on_robots else MADE
+    replaced = [kind(robot) for robot in cameras.robots for kind in made] + [topics.FUSION_CONFIG]
     unwanted = {absolute(topic.name, where) for topic in replaced}
     if not keep_images:
         unwanted |= {absolute(topic.name, where) for topic in cameras.pictures}

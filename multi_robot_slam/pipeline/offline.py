@@ -73,10 +73,8 @@ def events(
             yield event
             if isinstance(event, PoseSample):
                 looks = cameras.move(event)
-        for look in looks:
-            yield image_bags.encoded(look, config, on_sight)
-    for look in cameras.rest():
-        yield image_bags.encoded(look, config, on_sight)
+        yield from image_bags.frames(looks, config, on_sight, refuse)
+    yield from image_bags.frames(cameras.rest(), config, on_sight, refuse)
     seeing = {*cameras.robots, *(r for r in config.robots if topics.observations(r) in found)}
     if not any(topics.odometry(robot) in found for robot in seeing):
         raise InputError(

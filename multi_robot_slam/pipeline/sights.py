@@ -8,13 +8,14 @@ import numpy as np
 from msg_defs import topics, wire
 from msg_defs.errors import InputError
 from msg_defs.topics import CAMERA_FRAME, Topic
-from msg_defs.types import CameraInfo, Image, ObservationSet
+from msg_defs.types import CameraInfo, Image, ObservationSet, Sightings
 from multi_robot_slam.config import Config
 from multi_robot_slam.front_end.front_end import Seen
 from multi_robot_slam.front_end.grey import grey
 from multi_robot_slam.front_end.rig import StereoRig
 from multi_robot_slam.front_end.settings import CameraSettings
 from multi_robot_slam.front_end.sync import SIDES
+from multi_robot_slam.front_end.tags import RobotsSeen
 from multi_robot_slam.pipeline.cameras import Look
 
 PREVIEW_QUALITY = 75
@@ -29,8 +30,10 @@ class Sight(NamedTuple):
     seen: Seen
     observations: bytes
     """The cloud, as on `<robot>/stereo/landmarks`."""
+    sightings: bytes
+    """The robots whose tags are in view, as on `<robot>/sightings`; empty where none carry any."""
     messages: tuple[Message, ...]
-    """All that is told of it: the cloud, the preview, and the preview's calibration."""
+    """All that is told of it: cloud, sightings, the preview, and the preview's calibration."""
 
 
 def see(look: Look, config: Config) -> Sight:
@@ -52,12 +55,22 @@ def see(look: Look, config: Config) -> Sight:
     )
     cloud = wire.encode_observations(observed, frame)
     told: tuple[Message, ...] = ((topics.observations(look.robot), cloud),)
+    others = b""
+    if config.camera.tags.on_robots:
+        others = wire.encode_sightings(_others(look, seen.tags.robots, config), frame)
+        told += ((topics.sightings(look.robot), others),)
     if config.camera.preview_px:
         frame_id = topics.camera_frame(look.robot, frame)
         rig = look.front_end.rig
         picture = Image(stamp_ns, frame_id, "mono8", rig.rectified(left, right)[0])
         told += _preview(look.robot, picture, rig, config.camera.preview_px)
-    return Sight(seen, cloud, told)
+    return Sight(seen, cloud, others, told)
+
+
+def _others(look: Look, seen: RobotsSeen, config: Config) -> Sightings:
+    """The robots in view, but for the one that looks."""
+    rows = seen.others != config.robots.index(look.robot)
+    return Sightings(look.robot, look.pair.stamp_ns, *(values[rows] for values in seen))
 
 
 def _picture(settings: CameraSettings, data: bytes, what: str) -> Image:
