@@ -133,7 +133,7 @@ class Sightings:
     others: np.ndarray
     """(S,) uint32: index in the team of each robot seen."""
     positions: np.ndarray
-    """(S, 3) float32: where its `base_link` is, in the camera frame [m]."""
+    """(S, 3) float32: a point on the vertical through its `base_link`, in the camera frame [m]."""
     covariances: np.ndarray
     """(S, 6) float32: R of each position, camera frame [m^2]."""
 

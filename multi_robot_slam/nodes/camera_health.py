@@ -100,6 +100,11 @@ class CameraHealth:
             return wire.ERROR, self._refusal
         if self._last is None:
             return wire.WARN, WAITING
+        if sides_m := self._last.tags.other_sides_m.tolist():
+            return wire.WARN, (
+                f"tags: {len(sides_m)} in view are no squares of camera.tags.size_m; the sides "
+                f"look {', '.join(f'{side:.3f}' for side in sides_m)} m; measure the black square"
+            )
         if len(self._last.positions) < FEW:
             return wire.WARN, (
                 f"few points: {len(self._last.positions)} of {self._last.counts.keypoints} "
@@ -130,11 +135,17 @@ class CameraHealth:
             "features": counts.keypoints if counts else "",
             "matches": counts.kept + counts.surplus if counts else "",
             "observations": len(self._last.positions) if self._last else "",
+            **self._tags(),
             "duration [ms]": f"{self._took_ms:.1f}",
             "changes of calibration": self._camera.calibration.changes,
             **{f"refused: {what}": count for what, count in sorted(self.refused.items())},
         }
         return {key: str(value) for key, value in values.items()}
+
+    def _tags(self) -> dict[str, int]:
+        """What became of the tags in view; nothing where there are none."""
+        counts = vars(self._last.tags.counts) if self._last else {}
+        return {f"tags {what.replace('_', ' ')}": count for what, count in counts.items() if count}
 
 
 WAITING = "waiting for pictures"
