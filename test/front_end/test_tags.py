@@ -245,6 +245,15 @@ class TestNoTags:
         seen = find(left, cv2.warpAffine(right, stretch, right.shape[::-1]), RIG, SETTINGS)
         assert_counted(seen.counts, seen=1, other_size=1)
 
+    def test_noise_does_not_make_a_tag_larger(self):
+        """Sides with errors are too long in the mean; what is told of a tag's size is not."""
+        rng, count = np.random.default_rng(0), 3000
+        corners = Tag(0, (0, 0, 5.0), 0.5).corners() + rng.normal(size=(count, 4, 3)) * 0.03
+        noise = np.broadcast_to(0.03**2 * np.eye(3), (count, 4, 3, 3))
+        fits, sides = tags._are_squares(tags._Squares(np.arange(count), corners, noise), SIZE_M)
+        assert fits.mean() > 0.999
+        assert np.sqrt(np.mean(sides**2)) == pytest.approx(SIZE_M, rel=0.02)
+
     def test_far_tags_are_not_seen_rather_than_misread(self):
         rng = np.random.default_rng(5)
         numbers = set()
