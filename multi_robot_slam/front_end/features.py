@@ -77,8 +77,8 @@ def distinct(found: Keypoints, rows: np.ndarray, least: float) -> np.ndarray:
     What looks the same twice in one image, as repeated texture does, would be taken for each other
     in the map.
     """
-    alike = found.descriptors[rows] @ found.descriptors.T > 1 - least / 2
-    one, other = np.nonzero(alike)
+    cosines = np.minimum(found.descriptors[rows] @ found.descriptors.T, 1)
+    one, other = np.nonzero(cosines > 1 - least / 2)
     apart = found.pixels[rows[one]] - found.pixels[other]
     is_other = (apart**2).sum(axis=1) >= APART_PX**2
     result = np.ones(len(rows), bool)
