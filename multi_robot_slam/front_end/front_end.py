@@ -85,22 +85,17 @@ class FrontEnd:
         settings = self.settings.features
         known = tags.find(left, right, self.rig, self.settings.tags)
         found, points = _keypoints(left, settings)
-        nearest_px = self.rig.focal_px * self.rig.baseline_m / settings.nearest_m
-        search = Search(int(np.ceil(nearest_px)), settings.correlation)
+        search = Search(int(np.ceil(self._disparity(settings.nearest_m))), settings.correlation)
         coarse, fates = searched(left, right, points, search)
-        counted = np.bincount(fates, minlength=kernels.FOUND + 1).tolist()
         matched = np.flatnonzero((fates == kernels.FOUND) & ~known.cover(points))
-        most = CANDIDATES * settings.observations
-        tried = matched[spread(points[matched], left.shape, most)]
+        tried = matched[spread(points[matched], left.shape, CANDIDATES * settings.observations)]
         disparities, information = refined(left, right, points[tried], coarse[tried])
         is_steady = information > 0
-        steady, information = tried[is_steady], information[is_steady]
+        steady = tried[is_steady]
         pixels = np.column_stack([points[steady], disparities[is_steady]])
         sizes = found.sizes[steady] / settings.scale
-        sigmas = pixel_sigmas(sizes, information, settings)
-        farthest_px = self.rig.focal_px * self.rig.baseline_m / settings.farthest_m
-        is_near = pixels[:, 2] > np.maximum(farthest_px, sigmas[:, 2] / WORST_DISPARITY)
-        near = np.flatnonzero(is_near)
+        sigmas = pixel_sigmas(sizes, information[is_steady], settings)
+        near = np.flatnonzero(self._is_near(pixels, sigmas))
         alone = near[distinct(found, steady[near], settings.distinct)]
         kept = alone[spread(pixels[alone, :2], left.shape, settings.observations)]
         places = self.rig.point(*pixels[kept].T).astype(np.float32)
@@ -113,11 +108,8 @@ class FrontEnd:
             sizes=np.concatenate([sizes[kept], known.sides_px]),
             counts=Counts(
                 keypoints=len(points),
-                outside=counted[kernels.OUTSIDE],
-                weak=counted[kernels.WEAK],
-                ambiguous=counted[kernels.AMBIGUOUS],
-                one_way=counted[kernels.ONE_WAY],
-                on_tag=counted[kernels.FOUND] - len(matched),
+                **_lost(fates),
+                on_tag=int((fates == kernels.FOUND).sum()) - len(matched),
                 unsteady=len(tried) - len(steady),
                 far=len(steady) - len(near),
                 repeated=len(near) - len(alone),
@@ -126,6 +118,28 @@ class FrontEnd:
             ),
             tags=known,
         )
+
+    def _disparity(self, depth_m: float) -> float:
+        """Of a point so far away [px]."""
+        return self.rig.focal_px * self.rig.baseline_m / depth_m
+
+    def _is_near(self, pixels: np.ndarray, sigmas: np.ndarray) -> np.ndarray:
+        """(n,) bool: disparities of `pixels` (n, 3), exact to `sigmas` (n, 3), tell the depth."""
+        least = np.maximum(
+            self._disparity(self.settings.features.farthest_m), sigmas[:, 2] / WORST_DISPARITY
+        )
+        return pixels[:, 2] > least
+
+
+def _lost(fates: np.ndarray) -> dict[str, int]:
+    """How many points the search lost, by cause, as `Counts` names them."""
+    causes = {
+        "outside": kernels.OUTSIDE,
+        "weak": kernels.WEAK,
+        "ambiguous": kernels.AMBIGUOUS,
+        "one_way": kernels.ONE_WAY,
+    }
+    return {name: int((fates == fate).sum()) for name, fate in causes.items()}
 
 
 def _keypoints(image: np.ndarray, settings: FeatureSettings) -> tuple[Keypoints, np.ndarray]:

@@ -37,8 +37,14 @@ class FeatureSettings:
     distinct: Annotated[
         float, Ge(0), "least squared distance of a point's descriptor from all others of its image"
     ] = 0.15
-    sigma_px: Annotated[float, Gt(0), "standard deviation of row and column [px]"] = 0.4
-    sigma_disparity_px: Annotated[float, Gt(0), "standard deviation of the disparity [px]"] = 0.08
+    sigma_px: Annotated[
+        float,
+        Gt(0),
+        "standard deviation of row and column of a small keypoint, in the image searched [px]",
+    ] = 0.4
+    sigma_disparity_px: Annotated[
+        float, Gt(0), "standard deviation of the disparity of a window full of texture [px]"
+    ] = 0.08
 
 
 @settings
