@@ -27,7 +27,7 @@ from sim_world.scenario import Scenario
 from sim_world.simulator import Simulation
 
 CAMERA = StereoCamera()
-CHECKERED = walls(ROOM, PILLAR)
+INHABITED = walls(PILLAR, ROOM)
 
 
 def surfaces(room, painted):
@@ -83,7 +83,7 @@ VIEWS = [(1, 3, 0.1), (2, 1, 0.9), (7, 5, -2.5), (4.2, 3.75, 0.0), (0.3, 0.2, 0.
 @pytest.mark.parametrize("pose", VIEWS)
 @pytest.mark.parametrize("texel_m", [0.02, 0.3])
 def test_the_compiled_ray_caster_is_the_slow_one(pose, texel_m):
-    room = surfaces(CHECKERED, noisy(CHECKERED, texel_m))
+    room = surfaces(INHABITED, noisy(INHABITED, texel_m))
     view, people = view_from(*pose), people_before(pose)
     slow = slow_renderer.picture(SIZE, view, room, people, BACKDROP)
     np.testing.assert_allclose(light(view, room, people), slow, atol=2e-3)
@@ -92,7 +92,7 @@ def test_the_compiled_ray_caster_is_the_slow_one(pose, texel_m):
 @pytest.mark.parametrize("pose", VIEWS[:3])
 def test_a_pixel_is_the_mean_of_the_rays_through_it(pose):
     """Texels are about as large as pixels; a ray hits or misses one, so their mean is coarse."""
-    room = surfaces(CHECKERED, noisy(CHECKERED, 0.1, least=60, most=180))
+    room = surfaces(INHABITED, noisy(INHABITED, 0.1, least=60, most=180))
     view = view_from(*pose)
     rays = slow_renderer.sampled(SIZE, view, room, BACKDROP, rays=8)
     error = light(view, room, NOBODY) - rays

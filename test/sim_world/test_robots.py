@@ -173,6 +173,21 @@ def test_waits_for_subscribers_of_pictures():
         nodes.spin_until(lambda: world.done, world, alone)
 
 
+def test_pictures_of_a_whole_team_at_once_reach_who_reads_with_best_effort(spawn):
+    """They go through memory that processes share: it must hold them until they are read."""
+    pictures = [topics.image(name, side) for name in SCENARIO.names for side in SIDES]
+    infos = [topics.camera_info(name, side) for name in SCENARIO.names for side in SIDES]
+    parameters = ("images.enabled:=true", "movements:=9", "speed:=0.0")
+    words = [word for parameter in parameters for word in ("-p", parameter)]
+    spawn(sys.executable, "-m", "sim_world.robots", "--ros-args", *words)
+    with nodes.ros():
+        camera = nodes.Listener(*pictures, *infos)
+        nodes.spin_until(camera.is_connected, camera)
+        fusion = nodes.Listener(*map(topics.odometry, SCENARIO.names), name="fusion")
+        heard = [*camera.heard.values(), *fusion.heard.values()]
+        nodes.spin_until(lambda: all(len(one) == 4 for one in heard), camera, fusion)
+
+
 def test_true_landmarks_are_not_published_beside_pictures():
     with nodes.ros(*PARAMETERS, *WITH_PICTURES):
         world = robots.SimWorld()
