@@ -68,7 +68,7 @@ class RobotNode(Node):
             truths.append(topics.observation_truth(name))
         self.inputs = _publishers(self, inputs)
         pictures = messages.picture_topics(name, transport) if transport else []
-        self.pictures = _publishers(self, pictures, topics.BULKY)
+        self.pictures = _publishers(self, pictures)
         self.truths = _publishers(self, truths)
 
     @property
@@ -83,10 +83,8 @@ class RobotNode(Node):
             outputs[topic].publish(data)
 
 
-def _publishers(
-    node: Node, wanted: list[Topic], qos: str = topics.STREAM
-) -> dict[Topic, Publisher]:
-    return {topic: publisher(node, topic._replace(qos=qos)) for topic in wanted}
+def _publishers(node: Node, wanted: list[Topic]) -> dict[Topic, Publisher]:
+    return {topic: publisher(node, topic) for topic in wanted}
 
 
 class _Said(NamedTuple):
