@@ -19,7 +19,7 @@ OF_THE_RECORDING = (
 """Facts about the robots and what they sent, which another way to estimate does not change."""
 OF_EACH_ROBOT = ("start_poses", "mounts")
 """Those of them with one entry for each robot, in the order of `robots`; `mounts` may be empty."""
-OF_PICTURES = {"filter": {"descriptor_gate": DESCRIPTOR_GATE}}
+OF_PICTURES = {"filter": {"descriptor_gate": DESCRIPTOR_GATE, "noise_at": "landmark"}}
 """Defaults where observations are what the front end sees in pictures."""
 
 

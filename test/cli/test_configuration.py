@@ -197,3 +197,9 @@ def test_a_value_out_of_range_names_its_setting(choose):
 
 def test_names_are_completed():
     assert overrides.completions("filter.parti") == ["filter.particles="]
+
+
+def test_the_scenario_for_cameras_is_what_pictures_get_without_one():
+    shipped = scenario_file.from_file(Config, scenario_file.find_scenario("cameras"), SECTION)
+    by_default = scenario_file.from_mapping(Config, configuration.OF_PICTURES)
+    assert shipped.filter == by_default.filter != Config().filter

@@ -9,6 +9,7 @@ import pytest
 from msg_defs import topics, wire
 from msg_defs.errors import InputError
 from multi_robot_slam.bags import BagReader
+from multi_robot_slam.front_end.settings import DESCRIPTOR_GATE
 from multi_robot_slam.pipeline import cameras, landmarks, offline, sights
 
 LEFT = topics.image("robot_1", "left")
@@ -299,4 +300,4 @@ def test_pictures_without_a_configuration_are_told_what_is_missing(tmp_path, com
     words = ("--scenario", scenario, "--particles", 20, "--out", tmp_path / "out")
     code, _, told = command("run", tmp_path / "bag", *words)
     assert code == 0, told
-    assert "descriptor_gate: 0.25" in (tmp_path / "out" / "config.yaml").read_text()
+    assert f"descriptor_gate: {DESCRIPTOR_GATE}" in (tmp_path / "out" / "config.yaml").read_text()

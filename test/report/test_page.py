@@ -12,9 +12,10 @@ import recordings
 from hypothesis import given
 from hypothesis import strategies as st
 
-from msg_defs.types import Estimate
+from msg_defs import wire
+from msg_defs.types import CameraInfo, Estimate, Image, ObservationSet
 from multi_robot_slam import runs
-from multi_robot_slam.report import charts, page, scene, size, slider, timeline
+from multi_robot_slam.report import charts, page, scene, sights, size, slider, timeline
 from multi_robot_slam.runs import evaluation
 from multi_robot_slam.runs.colours import ROBOT_COLOURS
 from test.helpers import fake_landmarks, fake_run, moved
@@ -317,6 +318,87 @@ def test_report_of_no_run_is_one_line_and_exit_code_2(command, tmp_path):
     assert "nowhere" in told
 
 
+# ---- what the cameras saw
+
+
+def seeing(robots=2, size_px=(32, 24), per_view=3, **changes):
+    """A run whose robots have a picture at every other step, with points along its diagonal."""
+    run = fake_run(robots=robots, **changes)
+    width_px, height_px = size_px
+    own = {}
+    for number, name in enumerate(run.robots):
+        kept = []
+        for step in run.steps[::2]:
+            pixels = np.full((height_px, width_px), 40 * number + step.step, np.uint8)
+            image = Image(step.stamp_ns, "camera", "mono8", pixels)
+            kept.append(_view(name, image, per_view))
+        own[name] = tuple(kept)
+    return replace(run, views=own)
+
+
+def _view(name, image, count):
+    height_px, width_px = image.pixels.shape
+    projection = np.array([[10.0, 0, width_px / 2, 0], [0, 10.0, height_px / 2, 0], [0, 0, 1, 0]])
+    lens = "plumb_bob", np.zeros(5), projection[:, :3], np.eye(3), projection
+    info = CameraInfo(image.stamp_ns, "camera", width_px, height_px, *lens)
+    offsets = np.arange(count) - 1.0
+    positions = np.column_stack([offsets, -offsets, np.full(count, 10.0)]).astype("f4")
+    covariances = np.tile(np.float32([1, 0, 0, 1, 0, 1]), (count, 1))
+    cloud = ObservationSet(
+        name, image.stamp_ns, positions, covariances, np.ones((count, 128), "f4")
+    )
+    parts = wire.encode_observations(cloud), wire.encode_compressed(image)
+    return runs.View(image.stamp_ns, *parts, wire.encode_camera_info(info))
+
+
+def test_pictures_are_shown_with_their_points_from_their_time_on():
+    run = seeing(steps=6)
+    times = timeline.timeline(run)
+    shown = sights.sights(run, times)
+    assert list(shown) == list(run.robots)
+    for name, own in shown.items():
+        assert unpacked(own["instants"]).tolist() == [0, 2, 4]
+        np.testing.assert_allclose(unpacked(own["taken"]), [0, 0.2, 0.4], atol=1e-6)
+        starts = unpacked(own["starts"])
+        assert np.diff(starts).tolist() == [3, 3, 3]
+        points = unpacked(own["points"]).reshape(-1, 2)[:3]
+        np.testing.assert_allclose(points, [[15, 11], [16, 12], [17, 13]], atol=1e-5)
+        frames = [f for s in run.steps[::2] for f in s.frames if f.robot == name]
+        new = np.concatenate([f.is_new for f in frames])
+        np.testing.assert_array_equal(unpacked(own["kinds"]) == sights.NEW, new)
+        assert base64.b64decode(own["pictures"][0]).startswith(b"\xff\xd8\xff")
+
+
+def test_rejected_observations_are_marked_as_such():
+    run = seeing(robots=1, steps=1)
+    (step,), rejected = run.steps, np.array([True, False, False])
+    frame = replace(step.frames[0], is_new=rejected, is_rejected=rejected)
+    run = replace(run, steps=[replace(step, frames=(frame,))])
+    shown = sights.sights(run, timeline.timeline(run))["robot_1"]
+    expected = [sights.REJECTED, sights.MATCHED, sights.MATCHED]
+    assert unpacked(shown["kinds"]).tolist() == expected
+
+
+def test_pictures_that_are_damaged_or_of_no_frame_are_left_out():
+    run = seeing(robots=1, steps=6)
+    first, second, third = run.views["robot_1"]
+    broken = replace(first, picture=first.picture[:-9]), replace(second, stamp_ns=5), third
+    run = replace(run, views={"robot_1": broken})
+    shown = sights.sights(run, timeline.timeline(run))["robot_1"]
+    assert unpacked(shown["instants"]).tolist() == [4]
+    assert 'data-sight="' not in page_of(fake_run())
+
+
+def test_the_pictures_of_a_team_are_bounded(monkeypatch):
+    run = seeing(robots=3, steps=20)
+    most = sum(len(view.jpeg()) for own in run.views.values() for view in own) // 3
+    monkeypatch.setattr(sights, "MOST_BYTES", most)
+    shown = sights.sights(run, timeline.timeline(run))
+    pictures = [base64.b64decode(one) for own in shown.values() for one in own["pictures"]]
+    assert 0 < sum(map(len, pictures)) <= most
+    assert all(unpacked(own["instants"])[0] == 0 for own in shown.values())
+
+
 # ---- in a browser
 
 FLAGS = (
@@ -455,6 +537,35 @@ def test_a_robot_and_a_layer_can_be_hidden(opened):
     """)
     assert ["live", "robot_1"] in shown
     assert not any(robot == "robot_2" or layer == "walls" for layer, robot in shown)
+
+
+def test_the_slider_changes_the_pictures_and_their_points(browser, tmp_path):
+    run = seeing(robots=2, steps=6)
+    shown = show(browser, run, tmp_path)
+    read = """
+        return [...document.querySelectorAll("[data-sight]")].map(figure => [
+            figure.dataset.sight, figure.querySelector("img").naturalWidth,
+            figure.querySelectorAll("svg > *").length, figure.querySelector("output").textContent,
+            figure.querySelector("img").src]);
+    """
+    sources = set()
+    for step, newest in ((0, 0), (3, 2)):
+        shown.execute_script(f"show({step})")
+        after_drawing(shown)
+        found = shown.execute_script(read)
+        assert [name for name, *_ in found] == list(run.robots)
+        assert [(width, points) for _, width, points, *_ in found] == [(32, 3)] * 2
+        new = [np.count_nonzero(frame.is_new) for frame in run.steps[newest].frames]
+        assert [text for *_, text, _ in found] == [
+            f"{newest / 10:.1f} s: {3 - count} matched, {count} new, 0 rejected" for count in new
+        ]
+        sources |= {source for *_, source in found}
+    assert len(sources) == 4
+    shown.execute_script("document.querySelector('input[value=robot_2]').click()")
+    after_drawing(shown)
+    hidden = "return document.querySelector('[data-sight=robot_2]').hidden"
+    assert shown.execute_script(hidden)
+    assert complaints(shown) == []
 
 
 @pytest.mark.parametrize("width_px", [400, 1280])
