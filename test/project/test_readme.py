@@ -2,12 +2,14 @@
 
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import cv2
 import numpy as np
+import pictures
 import pytest
 import recordings
 from patience import PATIENCE_S
@@ -19,7 +21,8 @@ ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
 QUICK = {("multi_robot_slam", verb) for verb in ("run", "evaluate", "compare", "report", "export")}
 QUICK |= {("sim_world", "team"), ("sim_world", "descriptors"), ("sim_world", "generate")}
-LONG = {("multi_robot_slam", verb) for verb in ("demo", "study", "convert")}
+LONG = {("multi_robot_slam", verb) for verb in ("demo", "landmarks", "study", "convert")}
+LONG |= {("sim_world", "generate --images")}
 """They take minutes, or a recording that the README does not bring: only their help is asked."""
 GROUPS = ("study", "convert")
 
@@ -43,6 +46,9 @@ def folder(tmp_path, monkeypatch):
     photo = cv2.resize(pixels, (240, 240), interpolation=cv2.INTER_CUBIC)
     cv2.imwrite(str(tmp_path / "photos" / "texture.png"), photo)
     (tmp_path / "my_team.yaml").write_text(blocks("yaml")[0])
+    config = scenario_file.from_yaml(Config, blocks("yaml")[0], SECTION)
+    few = ((stamp, *rest) for robot in config.robots for stamp, *rest in pictures.drive(robot, 4))
+    pictures.record(tmp_path / "rosbag2_yours", config, sorted(few, key=lambda m: m[0]), False)
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -65,20 +71,27 @@ def run(words):
         Path(output).write_text(result.stdout)
 
 
+def in_place_of_nothing(bag):
+    """What a recorder would have left that had heard a team."""
+    shutil.rmtree(bag)
+    recordings.record(bag, is_live=True)
+
+
 def test_every_command_works_as_shown(folder, ros_domain_id):
     nodes = pytest.importorskip("nodes")
-    from multi_robot_slam.nodes import fusion, recorder, replay
+    from multi_robot_slam.nodes import camera, fusion, recorder, replay
     from sim_world import robots
 
     makers = {"fusion": fusion.Fusion, "record": recorder.Recorder, "robots": robots.SimWorld}
-    makers["replay"] = replay.Replay
+    makers |= {"replay": replay.Replay, "camera": camera.CameraNode}
     for program, *arguments in commands():
         verb = arguments[0]
+        key = program, " ".join(arguments[:2]) if "--images" in arguments[:2] else verb
         if program == "make":
             subprocess.run(["make", "-n", verb], cwd=ROOT, check=True, capture_output=True)
-        elif (program, verb) in QUICK:
+        elif key in QUICK:
             run([program, *arguments])
-        elif (program, verb) in LONG:
+        elif key in LONG or (program, verb) in LONG:
             options = [word for word in arguments if word.startswith("--")]
             named = arguments[: 2 if verb in GROUPS else 1]
             told = subprocess.check_output(
@@ -89,6 +102,8 @@ def test_every_command_works_as_shown(folder, ros_domain_id):
             given = arguments[arguments.index("--ros-args") + 1 :]
             with nodes.ros(*given):
                 makers[verb]().close()
+            if "out:=drive" in given:
+                in_place_of_nothing(folder / "drive")
 
 
 def test_the_scenario_shown_is_one():
