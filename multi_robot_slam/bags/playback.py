@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable, Iterator
 
 from msg_defs import topics, wire
 from msg_defs.errors import InputError
-from msg_defs.topics import LATCHED, Topic
+from msg_defs.topics import BULKY, LATCHED, Topic
 from multi_robot_slam.bags import BagReader, Record, absolute
 
 GAP_S = 1.0
@@ -23,13 +23,11 @@ def robots_of(recorded: Iterable[Topic]) -> tuple[str, ...]:
 
 
 def require_robots(reader: BagReader) -> tuple[str, ...]:
-    """The robots with odometry and observations in the bag; `InputError` when there are none."""
+    """The robots with odometry in the bag; `InputError` when there are none that see anything."""
     robots = robots_of(reader.summary.topics)
     kinds = (topics.odometry, topics.observations)
     reader.require([kind(robot) for robot in robots for kind in kinds])
-    names = {topic.name for topic in reader.summary.topics}
-    seeing = [r for r in robots if absolute(topics.observations(r).name) in names]
-    if not seeing:
+    if not any(eyes(reader.summary.topics, robot) for robot in robots):
         expected = ", ".join(absolute(kind("<robot>").name) for kind in kinds)
         raise InputError(
             f"{reader.path} has no robot in it: expected {expected}; its topics are "
@@ -38,9 +36,32 @@ def require_robots(reader: BagReader) -> tuple[str, ...]:
     return robots
 
 
+def eyes(recorded: Iterable[Topic], robot: str) -> set[str]:
+    """Names of the topics with what a robot sees: its observations or, without them, pictures."""
+    by_name = {topic.name: topic for topic in recorded}
+    observations = absolute(topics.observations(robot).name)
+    if observations in by_name:
+        return {observations}
+    sides = tuple(absolute(f"{robot}/{side}/") for side in ("left", "right"))
+    own = (topic for name, topic in by_name.items() if name.startswith(sides))
+    return {topic.name for topic in own if is_picture(topic)}
+
+
+def is_picture(topic: Topic) -> bool:
+    """Its messages are pictures, raw or compressed."""
+    return topic.type in (topics.image("", "").type, topics.compressed_image("", "").type)
+
+
 def selected(recorded: Iterable[Topic], everything: bool) -> dict[str, Topic]:
-    """By name, the topics to send: those a fusion publishes only if `everything` is wanted."""
-    by_name = {topic.name: topic for topic in sorted(recorded) if topic.name != _CLOCK}
+    """By name, the topics to send: those a fusion publishes only if `everything` is wanted.
+
+    Of pictures few are kept in store: many would fill the memory.
+    """
+    by_name = {
+        topic.name: topic._replace(qos=BULKY) if is_picture(topic) else topic
+        for topic in sorted(recorded)
+        if topic.name != _CLOCK
+    }
     if everything:
         return by_name
     outputs = tuple(absolute(t.name) for t in topics.fusion_outputs(robots_of(recorded)))

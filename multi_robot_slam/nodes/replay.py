@@ -28,6 +28,8 @@ So a message that is lost on the way and sent again is no further behind later o
 """
 AT_ONCE = 20
 """Messages published before the node looks what has come in."""
+MOST_PICTURES_IN_FLIGHT = 8
+"""The same where there are pictures among them, of which publishers keep 10."""
 POLL_S = 0.01
 PROGRESS_PERIOD_S = 0.9
 
@@ -48,7 +50,9 @@ class Playback:
         float, Ge(0), "messages on /clock per second of the recording; 0 is none [Hz]"
     ] = 40.0
     subscribers: Annotated[
-        int, Ge(0), "subscribers to wait for on each odom and stereo/landmarks topic"
+        int,
+        Ge(0),
+        "subscribers to wait for on each odom and stereo/landmarks topic, or each of pictures",
     ] = 1
     wait_s: Annotated[float, Ge(0), "start without them after so long; 0 waits forever [s]"] = 0.0
 
@@ -85,10 +89,12 @@ class Replay(EdgeNode):
         self._outputs = {
             name: publisher(self, self._names.topic(topic)) for name, topic in self._wanted.items()
         }
-        kinds = (topics.odometry, topics.observations)
-        inputs = {absolute(kind(robot).name) for robot in robots for kind in kinds}
+        inputs = {absolute(topics.odometry(robot).name) for robot in robots}
+        inputs |= {name for robot in robots for name in playback.eyes(self._wanted.values(), robot)}
         expected = [(p, self._play.subscribers) for n, p in self._outputs.items() if n in inputs]
         self._audience = Audience(self, expected, self._play.wait_s)
+        has_pictures = any(map(playback.is_picture, self._wanted.values()))
+        self._most_in_flight = MOST_PICTURES_IN_FLIGHT if has_pictures else MOST_IN_FLIGHT
         self._in_flight = InFlight(self, list(self._outputs.values()))
         self._clock_output = publisher(self, CLOCK) if self._play.clock_hz else None
         self.create_service(SetBool, "~/pause", self._pause)
@@ -205,7 +211,7 @@ class Replay(EdgeNode):
 
     def _is_held_up(self) -> bool:
         """Too much is unacknowledged to go on; the end of a pass must be acknowledged whole."""
-        return self._in_flight.is_above(MOST_IN_FLIGHT if self._next else 0)
+        return self._in_flight.is_above(self._most_in_flight if self._next else 0)
 
     def _pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         self._is_paused = bool(request.data)

@@ -331,3 +331,21 @@ def test_topics_that_cannot_be_published_are_left_out(tmp_path, capfd):
         nodes.spin_until(lambda: node.done, node)
     if not nodes.endpoints.is_available(topics.TF):
         assert "types are not installed, left out: /tf" in capfd.readouterr().err
+
+
+def test_pictures_are_replayed_whole_for_a_camera_that_waits_for_them(tmp_path):
+    import pictures
+
+    pictures.record(tmp_path / "bag")
+    topic = topics.image("robot_1", "left")
+    expected = [r.data for r in BagReader(tmp_path / "bag").records({f"/{topic.name}"})]
+    with nodes.ros("-p", f"bag:={tmp_path / 'bag'}", "-p", "rate:=0.0"):
+        node = replay.Replay()
+        assert node._audience.is_missing()
+        sides = [topics.image("robot_1", side) for side in ("left", "right")]
+        listener = nodes.Listener(*sides, topics.odometry("robot_1"))
+        nodes.spin_until(lambda: node.done, node, listener)
+        nodes.spin_until(lambda: len(listener.heard[topic]) == len(expected), listener)
+    assert [
+        data[: len(e)] for data, e in zip(listener.heard[topic], expected, strict=True)
+    ] == expected
