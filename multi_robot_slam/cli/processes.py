@@ -23,6 +23,8 @@ END_S = 2.5
 """How long the processes may take to end, all together."""
 LISTENER_S = 0.7
 """How much of it is the listener's, which ends last."""
+OFTEN_S, RARELY_S = 1.0, 5.0
+"""Time between two maps; one made of pictures has thousands of landmarks, each of 600 bytes."""
 IDLE_S = 2.0
 IDLE_PERIODS = 4
 """Silence after which the fusion takes the exploration for over: so long, and so many frames."""
@@ -69,6 +71,7 @@ def _play(listener: _Listener, scenario: Path, seed: int, speed: float) -> str:
     seeing = world.names if world.images.enabled else ()
     # The listener, the fusion, and each robot's own camera hear its odometry.
     pace = f"seed:={seed}", f"speed:={speed}", f"subscribers:={3 if seeing else 2}"
+    period_s = RARELY_S if seeing else OFTEN_S
     truths = f"truth_subscribers:={listener.truths}"
     processes: list[Popen[bytes]] = []
 
@@ -80,9 +83,8 @@ def _play(listener: _Listener, scenario: Path, seed: int, speed: float) -> str:
         try:
             names = f"robots:=[{','.join(world.names)}]"
             hearing = start(listener.module, f"out:={listener.out}", names)
-            fusion = start(
-                "multi_robot_slam.nodes.fusion", shared, f"stop_after_s:={idle_s}", "subscribers:=1"
-            )
+            ends = f"stop_after_s:={idle_s}", "subscribers:=1", f"picture_period_s:={period_s}"
+            fusion = start("multi_robot_slam.nodes.fusion", shared, *ends)
             cameras = [
                 start("multi_robot_slam.nodes.camera", shared, f"only:={robot}", "subscribers:=2")
                 for robot in seeing
