@@ -224,6 +224,9 @@ def cameras(
     from multi_robot_slam.studies import cameras as study_of_cameras
     from multi_robot_slam.studies import scheduling
 
+    if source == "library":
+        _library(folder, range(first_seed, first_seed + seeds), particles)
+        return
     wanted = study_of_cameras.plan(source, folder, setups, particles)
     out = out or Path("runs/cameras") / source
     with counter("runs") as progress:
@@ -239,6 +242,23 @@ def cameras(
         )
     typer.echo(study_of_cameras.markdown(wanted, rows))
     console.print(f"Everything is in {out}", markup=False)
+
+
+def _library(folder: Path | None, seeds: range, particles: int) -> None:
+    """How far the walk round the library misses its closure."""
+    from multi_robot_slam.front_end.settings import CameraSettings
+    from multi_robot_slam.studies import cameras_library, library
+
+    if folder is None:
+        raise InputError("name the folder of the recording: study cameras library FOLDER")
+    pairs = library.read(folder)
+    with messages.status(f"Looking at {2 * len(pairs)} pairs of {folder}") as status:
+        walked = cameras_library.walk(pairs, CameraSettings())
+        rows = []
+        for seed in seeds:
+            status.update(f"Run {seed - seeds[0] + 1} of {len(seeds)}")
+            rows.append(cameras_library.run(walked, pairs, seed, particles))
+    typer.echo(cameras_library.markdown(walked, pairs, rows))
 
 
 @app.command()

@@ -63,11 +63,15 @@ def levelled(cloud: Cloud, pose: np.ndarray, height_m: float) -> tuple[Cloud, np
     return kept, is_ahead
 
 
-def levelling_noise(positions: np.ndarray) -> np.ndarray:
+def levelling_noise(
+    positions: np.ndarray,
+    tilt_sigma_rad: float = TILT_SIGMA_RAD,
+    height_sigma_m: float = HEIGHT_SIGMA_M,
+) -> np.ndarray:
     """(B, 3, 3) [m^2]: what errors of roll, pitch and height make of `positions` (B, 3)."""
     right, up, ahead = positions.T
     zero = np.zeros_like(up)
-    by_pitch = np.stack([zero, ahead, -up], axis=1) * TILT_SIGMA_RAD
-    by_roll = np.stack([up, -right, zero], axis=1) * TILT_SIGMA_RAD
-    by_height = np.array([0.0, HEIGHT_SIGMA_M, 0.0])
+    by_pitch = np.stack([zero, ahead, -up], axis=1) * tilt_sigma_rad
+    by_roll = np.stack([up, -right, zero], axis=1) * tilt_sigma_rad
+    by_height = np.array([0.0, height_sigma_m, 0.0])
     return sum(np.einsum("...i,...j->...ij", by, by) for by in (by_pitch, by_roll, by_height))

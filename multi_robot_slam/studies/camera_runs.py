@@ -13,7 +13,10 @@ from multi_robot_slam.pipeline import offline, refinement
 from multi_robot_slam.pipeline.pipeline import Pipeline
 from multi_robot_slam.runs import consistency
 from multi_robot_slam.studies.cameras_table import TEAM, Row
+from multi_robot_slam.studies.front_end import PoseSigma
 from multi_robot_slam.studies.revisits import Revisits, revisits
+
+EXACT = PoseSigma()
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,10 +39,17 @@ def estimate(session: Session, with_batch: bool) -> runs.Run:
     return refinement.complete(run, pipeline, with_yardstick=with_batch)
 
 
-def rows_of(run: runs.Run, setup: str) -> list[Row]:
-    """A row for each robot, and one for a team of several."""
+def rows_of(run: runs.Run, setup: str, truth: PoseSigma = EXACT) -> list[Row]:
+    """A row for each robot, and one for a team of several.
+
+    `truth` is how far the true poses may be off: an error is then due to both.
+    """
     result = runs.evaluate(run)
-    errors = consistency.published_errors(run)
+    of_truth = np.diag([truth.place_m, truth.place_m, truth.angle_rad]) ** 2
+    errors = {
+        robot: (error, covariance + of_truth)
+        for robot, (error, covariance) in consistency.published_errors(run).items()
+    }
     found = revisits(run, dict(enumerate(_places(run))))
     figures = {TEAM: result} if len(run.robots) > 1 else {}
     figures |= result["robots"]

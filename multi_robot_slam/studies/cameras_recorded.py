@@ -13,12 +13,15 @@ from multi_robot_slam.datasets.stereo_recording import StereoRecording
 from multi_robot_slam.studies import camera_runs, clouds
 from multi_robot_slam.studies.camera_runs import Session
 from multi_robot_slam.studies.cameras_table import Row
+from multi_robot_slam.studies.front_end import EUROC_TRUTH, KITTI_TRUTH
 
 READERS = {"euroc": euroc.read, "kitti": kitti.read}
 SETUPS = {
     "euroc": ("one robot", "two robots", "first half alone", "second half alone"),
     "kitti": ("one robot",),
 }
+TRUTHS = {"euroc": EUROC_TRUTH, "kitti": KITTI_TRUTH}
+
 MOST_HZ = 4.0
 """Of EuRoC's images those that come faster are left out; KITTI has all."""
 
@@ -52,7 +55,7 @@ def compute(job: Job) -> list[Row]:
     if job.setup.endswith("alone"):
         session = alone(session, ("first half alone", "second half alone").index(job.setup))
     run = camera_runs.estimate(session, with_batch=True)
-    return camera_runs.rows_of(run, job.setup)
+    return camera_runs.rows_of(run, job.setup, TRUTHS[job.source])
 
 
 def make_clouds(job: Job) -> None:

@@ -5,7 +5,7 @@ It comes with the examples of BoofCV (stereo_params.xml is its calibration):
     library/left/left1.jpg, library/right/right1.jpg, ...      no stamps
     library/stereo_params.xml
 
-There is no truth but that the frame `CLOSING` was taken where `FIRST` was, but for `CLOSURE`.
+There is no truth but that the frame `CLOSING` was taken beside `FIRST`: both see the same shelves.
 """
 
 import xml.etree.ElementTree as ET
@@ -25,9 +25,6 @@ PERIOD_NS = 100_000_000
 
 FIRST, CLOSING = 1, 337
 """Numbers of two images of one place."""
-CLOSURE = np.array([0.13, -0.06, 0.0])
-"""Where the robot of `CLOSING` truly is, ahead and to the left of that of `FIRST` [m], and its
-height: measured from these two images."""
 
 
 def read(folder: Path) -> StereoPairs:
@@ -46,6 +43,11 @@ def read(folder: Path) -> StereoPairs:
         calibration=_calibration(root / "stereo_params.xml"),
         is_rectified=False,
     )
+
+
+def row_of(pairs: StereoPairs, number: int) -> int:
+    """The row of the pair with this number."""
+    return int(np.searchsorted(pairs.stamps_ns, number * PERIOD_NS))
 
 
 def _calibration(path: Path) -> StereoCalibration:
