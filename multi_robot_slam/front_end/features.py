@@ -49,13 +49,19 @@ class Keypoints:
         return cls(table[order, :2], table[order, 2], np.sqrt(shares)[order])
 
 
+PER_CELL = 8
+"""Points of a cell, if all have enough. More cells spread the points better, fewer choose the same
+ones again: of 50 points in a rendered picture 42 % were kept in the next one with one to a cell,
+50 % with eight, 56 % without cells."""
+
+
 def spread(pixels: np.ndarray, shape: tuple[int, ...], most: int) -> np.ndarray:
     """Rows of `pixels` (n, 2), strongest first, that are kept: at most `most`, all over the image.
 
-    The image of `shape` (H, W) is cut into about `most` square cells. The strongest of every cell
-    comes before the second of any.
+    The image of `shape` (H, W) is cut into square cells, one for each `PER_CELL` points. The
+    strongest of every cell comes before the second of any.
     """
-    side = np.sqrt(shape[0] * shape[1] / most)
+    side = np.sqrt(shape[0] * shape[1] * PER_CELL / most)
     columns = int(np.ceil(shape[1] / side))
     column, row = (pixels // side).astype(int).T
     cells = row * columns + column

@@ -9,9 +9,12 @@ a hundred it is not.
 
 So the covariance is taken at a landmark that is known already (as decorrelated unbiased converted
 measurements do: Bordonaro, Willett, Bar-Shalom 2014). At s times the distance, on the same line of
-sight, with a the share of the disparity, of which alone the depth Z depends,
+sight, with a the share of the disparity, on which alone the depth Z depends,
 
-    R(s) = s^2 (R - a a^T) + s^4 a a^T,    a = sigma_Z / Z * (v - c)                          (N1)
+    R(s) = s^2 (R - a a^T) + s^4 a a^T,    a = R e_Z / sigma_Z                                (N1)
+
+For a stereo camera at c that is sigma_Z / Z (v - c), along the line of sight. R(s) is positive
+definite whatever R is: a^T R^-1 a = 1.
 """
 
 from typing import NamedTuple
@@ -31,53 +34,49 @@ class Ranging(NamedTuple):
 
     rays: np.ndarray
     """(B, 3) float64: v - c, from the camera to each point, in `base_link` axes [m]."""
-    relative: np.ndarray
-    """(B,) float64: standard deviation of each point's depth over that depth, sigma_Z / Z."""
+    along: np.ndarray
+    """(B, 3) float64: a of (N1), in `base_link` axes [m]."""
 
     @classmethod
     def of(cls, positions: np.ndarray, covariances: np.ndarray, mount: CameraMount) -> "Ranging":
         """Of points (B, 3) and covariances (B, 6) in the camera frame [m, m^2]."""
         turned = rotation(mount) @ CAMERA_TO_BODY
-        depth = positions[:, 2].astype(float)
-        return cls(positions @ turned.T, np.sqrt(covariances[:, 5].astype(float)) / depth)
+        of_depth = covariances[:, [2, 4, 5]].astype(float)
+        along = of_depth / np.sqrt(of_depth[:, 2:])
+        return cls(positions @ turned.T, along @ turned.T)
 
 
 @kernel
-def ratio(ray: np.ndarray, relative: float, offset: np.ndarray) -> float:
+def ratio(ray: np.ndarray, along: np.ndarray, offset: np.ndarray) -> float:
     """The factor s of (N1) for a landmark at `offset` (3,) from the measured point.
 
     1 where the landmark is too far off to be the one that was seen, or is none (NaN).
     """
     squared = ray[0] * ray[0] + ray[1] * ray[1] + ray[2] * ray[2]
-    along = (offset[0] * ray[0] + offset[1] * ray[1] + offset[2] * ray[2]) / squared
-    return 1.0 + along if abs(along) <= FARTHEST_SIGMA * relative else 1.0
-
-
-@kernel
-def at_ratio(covariance: np.ndarray, ray: np.ndarray, relative: float, s: float) -> np.ndarray:
-    """(N1): a covariance (6,) at s times its distance."""
-    result = np.empty(6)
-    if s == 1.0:
-        return covariance.copy()
-    near, far = s * s, (s * s - 1.0) * s * s * relative * relative
-    element = 0
-    for i in range(3):
-        for j in range(i, 3):
-            result[element] = near * covariance[element] + far * ray[i] * ray[j]
-            element += 1
-    return result
+    sigma_sq = along[0] * along[0] + along[1] * along[1] + along[2] * along[2]
+    farther = (offset[0] * ray[0] + offset[1] * ray[1] + offset[2] * ray[2]) / squared
+    is_it = farther * farther <= FARTHEST_SIGMA * FARTHEST_SIGMA * sigma_sq / squared
+    return 1.0 + farther if is_it and farther > -1 else 1.0
 
 
 @kernel
 def at_landmarks(
-    covariances: np.ndarray, rays: np.ndarray, relative: np.ndarray, offsets: np.ndarray
+    covariances: np.ndarray, rays: np.ndarray, along: np.ndarray, offsets: np.ndarray
 ) -> np.ndarray:
     """(N1): `covariances` (B, 6) at landmarks that lie `offsets` (B, 3) from where they seemed.
 
     All in `base_link` [m, m^2]; an offset of NaN stands for no landmark.
     """
-    result = np.empty_like(covariances)
+    result = covariances.copy()
     for b in range(len(covariances)):
-        s = ratio(rays[b], relative[b], offsets[b])
-        result[b] = at_ratio(covariances[b], rays[b], relative[b], s)
+        s = ratio(rays[b], along[b], offsets[b])
+        if s == 1.0:
+            continue
+        near, far = s * s, (s * s - 1.0) * s * s
+        element = 0
+        for i in range(3):
+            for j in range(i, 3):
+                own = far * along[b, i] * along[b, j]
+                result[b, element] = near * covariances[b, element] + own
+                element += 1
     return result

@@ -152,8 +152,8 @@ def _may_be_within(
     np.minimum.at(range_sq, problem.landmarks, np.sum(problem.positions[:, :2] ** 2, axis=1))
     own = smoothed.landmarks[:, [3, 6, 8]].sum(axis=1) + 2 * (place + range_sq * yaw)
     apart = smoothed.landmarks[pairs[:, 0], :3] - smoothed.landmarks[pairs[:, 1], :3]
-    possible: np.ndarray = np.sum(apart**2, axis=1) <= 2 * limit * own[pairs].sum(axis=1)
-    return possible
+    squared = np.einsum("ai,ai->a", apart, apart)
+    return np.less_equal(squared, 2 * limit * own[pairs].sum(axis=1))
 
 
 def _least_certain(problem: Problem, smoothed: Smoothed) -> tuple[float, float]:
@@ -180,5 +180,4 @@ def _seen_together(problem: Problem, pairs: np.ndarray) -> np.ndarray:
     seen = np.zeros((len(wanted), problem.poses), bool)
     seen[rows[known], problem.seen_from[known]] = True
     packed = np.packbits(seen, axis=1)
-    together: np.ndarray = (packed[places[:, 0]] & packed[places[:, 1]]).any(axis=1)
-    return together
+    return np.logical_or.reduce(packed[places[:, 0]] & packed[places[:, 1]], axis=1)

@@ -6,7 +6,7 @@ import numpy as np
 
 from multi_robot_slam.models.compiled import kernel
 from multi_robot_slam.models.frames import Record
-from multi_robot_slam.models.ranging import at_landmarks
+from multi_robot_slam.models.ranging import Ranging, at_landmarks
 
 
 def covariances_of(
@@ -34,13 +34,15 @@ def covariances_of(
     counts = [len(record.positions) for record in records]
     positions = np.concatenate([record.positions for record in records])
     offsets = _offsets(np.repeat(poses, counts, axis=0), known, positions)
-    rays = [_or_nan(r, 3) if r.ranging is None else r.ranging.rays for r in records]
-    relative = [_or_nan(r, 1)[:, 0] if r.ranging is None else r.ranging.relative for r in records]
-    return at_landmarks(covariances, np.concatenate(rays), np.concatenate(relative), offsets)
+    ranging = [_ranging(record) for record in records]
+    rays, along = (np.concatenate(parts) for parts in zip(*ranging, strict=True))
+    return at_landmarks(covariances, rays, along, offsets)
 
 
-def _or_nan(record: Record, width: int) -> np.ndarray:
-    return np.full((len(record.positions), width), np.nan)
+def _ranging(record: Record) -> Ranging:
+    """What is NaN leaves the covariances as they are."""
+    unknown = np.full((len(record.positions), 3), np.nan)
+    return record.ranging or Ranging(unknown, unknown)
 
 
 @kernel

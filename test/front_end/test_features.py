@@ -5,7 +5,7 @@ from front_end import planes
 from hypothesis import given
 from hypothesis import strategies as st
 
-from multi_robot_slam.front_end.features import Keypoints, distinct, spread
+from multi_robot_slam.front_end.features import PER_CELL, Keypoints, distinct, spread
 from multi_robot_slam.front_end.settings import FeatureSettings
 
 SETTINGS = FeatureSettings()
@@ -40,7 +40,7 @@ def test_keypoints_are_where_the_image_has_them():
 @given(pixels, st.integers(1, 50))
 def test_the_strongest_of_every_cell_comes_before_the_second_of_any(points, most):
     kept = spread(points, SHAPE, most)
-    side = np.sqrt(SHAPE[0] * SHAPE[1] / most)
+    side = np.sqrt(SHAPE[0] * SHAPE[1] * PER_CELL / most)
     cells = [tuple(cell) for cell in (points // side).astype(int)]
     ranks = [cells[:n].count(cell) for n, cell in enumerate(cells)]
     assert len(kept) == min(most, len(points))

@@ -84,3 +84,34 @@ def test_widened_gate_lets_a_run_pass_as_one_observation_does():
     for count in (1, 100, 7000):
         together = chi2.cdf(joining.widened_gate(11.345, count), 3) ** count
         assert together == pytest.approx(0.99, abs=1e-4)
+
+
+@pytest.mark.parametrize("exclusive", [False, True])
+def test_looking_at_likely_pairs_alone_finds_the_same(split, exclusive, monkeypatch):
+    records, poses, identities = split
+    problem = problem_of(records, identities, Prior.exact(worlds.START), worlds.settings().motion)
+    smoothed = solve.smooth(problem, poses)
+    names = np.arange(len(problem.ids))
+    pairs = np.array([[a, b] for a in names for b in names if a < b])
+    looked_at = []
+    real = joining._mahalanobis_sq
+
+    def noted(problem, smoothed, pairs):
+        looked_at.append(len(pairs))
+        return real(problem, smoothed, pairs)
+
+    monkeypatch.setattr(joining, "_mahalanobis_sq", noted)
+    found = joining.closest_pairs(problem, smoothed, pairs, GATE, exclusive)
+    few, looked_at[:] = sum(looked_at), []
+    monkeypatch.setattr(
+        joining, "_may_be_within", lambda p, s, pairs, limit: np.ones(len(pairs), bool)
+    )
+    expected = joining.closest_pairs(problem, smoothed, pairs, GATE, exclusive)
+    assert found.tolist() == expected.tolist()
+    assert len(found) > 5
+    assert few < 0.7 * sum(looked_at)
+
+
+def test_where_errors_are_alike_the_gate_is_that_of_one_observation():
+    assert joining.joining_gate(11.345, 100, 1.0) == joining.widened_gate(11.345, 100)
+    assert joining.joining_gate(12.0, 100, 3.0) == 4.0
