@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from multi_robot_slam.datasets.stereo_recording import StereoPairs, StereoRecording
 from multi_robot_slam.front_end.front_end import FrontEnd, Seen
 from multi_robot_slam.front_end.rig import StereoRig
-from multi_robot_slam.front_end.settings import CameraSettings
+from multi_robot_slam.front_end.settings import DESCRIPTOR_GATE, CameraSettings
 from multi_robot_slam.models.symmetric import inverses, pack, unpack
 
 GATE = 11.345
@@ -536,3 +536,53 @@ def timing(pairs: StereoPairs, settings: CameraSettings, rounds: int = 3) -> Tim
         cv2.setNumThreads(threads)
     pair_ms, sift_ms = 1e3 * np.median(taken, axis=0)
     return Timing(float(pair_ms), float(sift_ms))
+
+
+# --- all of it -----------------------------------------------------------------------------------
+
+LOOP_S = 20.0
+"""Views of one place so far apart in time are a revisit."""
+
+
+def figures(seen: Sequence[View], rig: StereoRig, truth: PoseSigma) -> dict[str, float]:
+    """All figures of one recording's views, by name; those of revisits only where it has some.
+
+    `truth` is how exact the recording's poses are: `EUROC_TRUTH`, `KITTI_TRUTH`.
+    """
+    pairs = overlapping(seen, rig, 0.0)
+    late = [pair for pair in pairs if pair[1].stamp_s - pair[0].stamp_s >= LOOP_S]
+    as_is = Consistency.of(landmark_nees(pairs, DESCRIPTOR_GATE))
+    told = Consistency.of(landmark_nees(pairs, DESCRIPTOR_GATE, truth))
+    drift = odometry_drift(seen, rig)
+    found = {
+        "points": float(np.mean([view.seen.counts.kept for view in seen])),
+        "pairs of views": len(pairs),
+        "landmark NEES within the gate": as_is.mean,
+        "beyond the gate": as_is.beyond,
+        "landmark NEES, truth's errors counted": told.mean,
+        "beyond the gate, truth's errors counted": told.beyond,
+        "drift [%]": drift.percent,
+        "drift [deg]": float(np.degrees(drift.angle_rad)),
+        "steps lost": drift.lost,
+    }
+    return found | (_of_revisits(late, rig, truth) if late else {})
+
+
+def _of_revisits(
+    pairs: Sequence[tuple[View, View]], rig: StereoRig, truth: PoseSigma
+) -> dict[str, float]:
+    """What concerns views that are long apart."""
+    again, spread = revisited(pairs, DESCRIPTOR_GATE, truth), descriptor_spread(pairs, truth)
+    errors = pose_errors(pairs, rig)
+    place, angle = np.median(errors, axis=0) if len(errors) else (np.nan, np.nan)
+    return {
+        "revisits": len(pairs),
+        "precision": again.precision,
+        "recall": again.recall,
+        "E of equal, median": float(np.median(spread.equal)),
+        "E of different, first percentile": float(np.quantile(spread.different, 0.01)),
+        "descriptor_gate": spread.gate(),
+        "poses": len(errors),
+        "pose, median [m]": float(place),
+        "pose, median [deg]": float(np.degrees(angle)),
+    }

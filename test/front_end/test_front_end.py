@@ -33,6 +33,18 @@ def test_points_lie_on_the_planes(scale):
     np.testing.assert_allclose(seen.positions, RIG.point(column, row, d), rtol=1e-6)
 
 
+def test_half_the_size_shifts_no_point():
+    """The centre of a pixel of the small image is a corner of four of the large one."""
+    left, right = planes.pair(noise=0.0)
+    whole, half = (front_end(scale=s, observations=400).observe(left, right) for s in (1.0, 0.5))
+    apart = half.pixels[:, None, :2] - whole.pixels[None, :, :2]
+    nearest = np.linalg.norm(apart, axis=2).argmin(axis=1)
+    shift = apart[np.arange(len(nearest)), nearest]
+    shift = shift[np.abs(shift).max(axis=1) < 1.5]
+    assert len(shift) > 30
+    np.testing.assert_allclose(np.median(shift, axis=0), 0, atol=0.15)
+
+
 def test_depth_errors_are_as_large_as_the_covariances_say_or_smaller():
     """The defaults are those of real cameras, whose calibration is not exact."""
     values = []

@@ -98,6 +98,13 @@ def test_points_that_look_different_are_all_found_again():
     assert study.revisited([two()], gate=0.0).matched == 0
 
 
+def test_keypoints_of_two_sizes_at_one_place_are_not_one():
+    first, second = two()
+    assert study.compared(first, second, study.PoseSigma()).same.any()
+    larger = replace(second, seen=replace(second.seen, sizes=2 * second.seen.sizes))
+    assert not study.compared(first, larger, study.PoseSigma()).same.any()
+
+
 def test_points_that_look_alike_are_taken_for_each_other():
     """Within what the pose leaves open; with a pose that is known they are not."""
     points, _ = scene(600)
@@ -175,6 +182,18 @@ def test_odometry_without_errors_does_not_drift():
     assert drift.distance_m == pytest.approx(5 * np.hypot(0.02, 0.1))
     noisy = [view(points, looks, n, v.place, (0, 0.02 * n, 0), n) for n, v in enumerate(way)]
     assert 0.05 < study.odometry_drift(noisy, RIG).percent < 10
+
+
+def test_figures_are_those_of_the_single_functions():
+    first, second = two()
+    found = study.figures([first, second], RIG, study.PoseSigma())
+    nees = study.Consistency.of(study.landmark_nees([(first, second)], DESCRIPTOR_GATE))
+    assert found["landmark NEES within the gate"] == nees.mean
+    assert found["revisits"] == found["poses"] == 1
+    assert found["pose, median [m]"] == study.pose_errors([(first, second)], RIG)[0, 0]
+    assert found["drift [%]"] == study.odometry_drift([first, second], RIG).percent
+    soon = replace(second, stamp_s=1.0)
+    assert "revisits" not in study.figures([first, soon], RIG, study.PoseSigma())
 
 
 def settings(**features):
