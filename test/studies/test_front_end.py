@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from multi_robot_slam.datasets import euroc, kitti
 from multi_robot_slam.front_end.covariance import propagated
-from multi_robot_slam.front_end.front_end import Counts, Seen
+from multi_robot_slam.front_end.front_end import FrontEnd
 from multi_robot_slam.front_end.rig import StereoRig
 from multi_robot_slam.front_end.settings import DESCRIPTOR_GATE, CameraSettings, FeatureSettings
 from multi_robot_slam.models.symmetric import unpack
@@ -17,7 +17,8 @@ from multi_robot_slam.studies import front_end as study
 
 RIG = StereoRig(400.0, (320.0, 240.0), 0.12, 640, 480)
 SIGMAS = np.array([0.5, 0.5, 0.1])
-NOTHING = Counts(*[0] * 10)
+BLACK = np.zeros((RIG.height_px, RIG.width_px), np.uint8)
+NOTHING = FrontEnd(RIG, CameraSettings()).observe(BLACK, BLACK)
 
 
 def unit(rows):
@@ -38,13 +39,13 @@ def view(points, looks, stamp_s=0.0, place=(0, 0, 0), turn=(0, 0, 0), seed=0, no
     pixels = RIG.pixel((points - np.asarray(place)) @ rotation)
     inside = (pixels[:, :2] > 0).all(axis=1) & (pixels[:, :2] < [640, 480]).all(axis=1)
     pixels = pixels[inside] + noise * SIGMAS * random.normal(size=(inside.sum(), 3))
-    seen = Seen(
+    seen = replace(
+        NOTHING,
         positions=RIG.point(*pixels.T).astype(np.float32),
         covariances=propagated(RIG, pixels, np.tile(SIGMAS, (len(pixels), 1))).astype(np.float32),
         descriptors=unit(looks[inside] + 0.01 * random.normal(size=(inside.sum(), 128))),
         pixels=pixels,
         sizes=pixels[:, 2] / 5,
-        counts=NOTHING,
     )
     return study.View(stamp_s, seen, np.asarray(place, float), rotation)
 
