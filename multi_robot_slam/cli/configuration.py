@@ -9,7 +9,6 @@ from msg_defs import scenario_file, topics
 from msg_defs.errors import InputError
 from multi_robot_slam.bags import BagReader, absolute
 from multi_robot_slam.config import SECTION, Config
-from multi_robot_slam.front_end.settings import DESCRIPTOR_GATE
 from multi_robot_slam.pipeline import image_bags, offline
 
 OF_THE_RECORDING = (
@@ -19,8 +18,8 @@ OF_THE_RECORDING = (
 """Facts about the robots and what they sent, which another way to estimate does not change."""
 OF_EACH_ROBOT = ("start_poses", "mounts")
 """Those of them with one entry for each robot, in the order of `robots`; `mounts` may be empty."""
-OF_PICTURES = {"filter": {"descriptor_gate": DESCRIPTOR_GATE, "noise_at": "landmark"}}
-"""Defaults where observations are what the front end sees in pictures."""
+FOR_PICTURES = "cameras"
+"""The shipped scenario whose filter is the default where observations are seen in pictures."""
 
 
 class Recording(NamedTuple):
@@ -63,7 +62,7 @@ def of_run(
     values = merged(_for_robots(known, stated, bag), stated)
     config = scenario_file.from_mapping(Config, values, source)
     if _has_pictures(recording, config):
-        config = scenario_file.from_mapping(Config, merged(OF_PICTURES, values), source)
+        config = scenario_file.from_mapping(Config, merged(of_pictures(), values), source)
     _check_robots(recording, config, "robots" in stated, warn)
     return config
 
@@ -92,6 +91,12 @@ def _has_pictures(recording: Recording, config: Config) -> bool:
     expected = [topics.odometry(robot) for robot in config.robots]
     where = reader.find_namespace(expected, recording.namespace)
     return bool(image_bags.with_images(reader, config, where))
+
+
+def of_pictures() -> dict:
+    """Settings of the filter for what the front end sees in pictures, unless others are stated."""
+    stated, _ = _stated(FOR_PICTURES)
+    return {"filter": stated["filter"]}
 
 
 def merged(below: Mapping, above: Mapping) -> dict:

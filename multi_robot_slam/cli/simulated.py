@@ -5,7 +5,7 @@ from pathlib import Path
 
 from msg_defs import scenario_file, topics, wire
 from multi_robot_slam.bags import BagWriter
-from multi_robot_slam.cli.configuration import OF_PICTURES, merged
+from multi_robot_slam.cli.configuration import merged, of_pictures
 from multi_robot_slam.cli.terminal import countdown
 from multi_robot_slam.config import SECTION, Config
 from sim_world import messages
@@ -33,7 +33,7 @@ def configure(
     world = scenario_file.from_yaml(Scenario, team, WORLD_SECTION, scenario)
     stated = scenario_file.sections(team, scenario)[SECTION]
     if world.images.enabled:
-        stated = merged(OF_PICTURES, stated)
+        stated = merged(of_pictures(), stated)
     config = scenario_file.from_mapping(Config, stated, f"{scenario}: {SECTION}")
     return world, replace(config, seed=seed)
 

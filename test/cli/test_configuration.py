@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import pictures
 import pytest
 
 from msg_defs import scenario_file, topics, wire
@@ -11,6 +12,7 @@ from multi_robot_slam.bags import BagWriter, absolute
 from multi_robot_slam.cli import configuration, overrides
 from multi_robot_slam.config import SECTION, Config
 from multi_robot_slam.filter.settings import FilterSettings
+from multi_robot_slam.front_end.settings import DESCRIPTOR_GATE
 
 RECORDED = Config(
     robots=("alice", "bob"),
@@ -199,7 +201,18 @@ def test_names_are_completed():
     assert overrides.completions("filter.parti") == ["filter.particles="]
 
 
-def test_the_scenario_for_cameras_is_what_pictures_get_without_one():
+def test_the_scenario_for_cameras_is_what_pictures_get_without_one(tmp_path):
     shipped = scenario_file.from_file(Config, scenario_file.find_scenario("cameras"), SECTION)
-    by_default = scenario_file.from_mapping(Config, configuration.OF_PICTURES)
-    assert shipped.filter == by_default.filter != Config().filter
+    assert shipped.filter.descriptor_gate == DESCRIPTOR_GATE != FilterSettings().descriptor_gate
+    mine = tmp_path / "mine.yaml"
+    mine.write_text(f"{SECTION}: {{robots: [robot_1], filter: {{particles: 9}}}}")
+    pictures.record(tmp_path / "bag", with_config=False)
+    recording = configuration.Recording(tmp_path / "bag")
+    config = configuration.of_run(recording, str(mine), {}, pytest.fail)
+    assert config.filter == replace(shipped.filter, particles=9)
+    stated = {"filter": {"descriptor_gate": 0.5}}
+    config = configuration.of_run(recording, str(mine), stated, pytest.fail)
+    assert config.filter.descriptor_gate == 0.5
+    pictures.record(tmp_path / "known", replace(pictures.team(), filter=FilterSettings(gate=7.0)))
+    recording = configuration.Recording(tmp_path / "known")
+    assert configuration.of_run(recording, None, {}, pytest.fail).filter.gate == 7.0
