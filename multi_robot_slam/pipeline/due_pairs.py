@@ -11,6 +11,9 @@ from multi_robot_slam.pipeline.odometry import Odometry
 PATIENCE_NS = 10**9
 """So far behind the newest pair odometry may be; then pairs are looked at without it."""
 
+MOST_UNPLACED = 1000
+"""Pairs that were looked at before odometry came, and that may have been keyframes."""
+
 _ONLY = 0
 """The one robot, in a list of its own."""
 
@@ -36,6 +39,7 @@ class DuePairs:
         self._odometry = Odometry(self._config.plausible, lambda sample, refusal: None)
         self._keyframes = Keyframes(self._config.keyframe)
         self._undecided: deque[Pair] = deque()
+        self._unplaced: deque[int] = deque(maxlen=MOST_UNPLACED)
         self._given_out_ns = -self._rest_ns
         self._newest_ns = 0
 
@@ -55,12 +59,8 @@ class DuePairs:
             return []
         if sample.stamp_ns < self._odometry.newest_ns - self._config.apart_ns:
             self._begin()
-        is_first = self._odometry.newest is None
         if not self._odometry.is_late(sample.stamp_ns):
             self._odometry.take(sample)
-        if is_first and self._given_out_ns > 0:
-            # What was looked at before is taken to be where odometry begins, as the filter does.
-            self._keyframes.use(_ONLY, self._odometry.at(self._given_out_ns), {})
         return self._decided()
 
     def rest(self) -> list[Pair]:
@@ -87,9 +87,15 @@ class DuePairs:
 
     def _is_due(self, stamp_ns: int) -> bool:
         if self._odometry.newest_ns < stamp_ns:
+            self._unplaced.append(stamp_ns)
             return True
+        while self._unplaced:
+            self._is_keyframe(self._unplaced.popleft())
+        return self._is_keyframe(stamp_ns) or stamp_ns >= self._given_out_ns + self._rest_ns
+
+    def _is_keyframe(self, stamp_ns: int) -> bool:
         pose = self._odometry.at(stamp_ns)
-        if self._keyframes.is_due(_ONLY, pose, {}):
-            self._keyframes.use(_ONLY, pose, {})
-            return True
-        return stamp_ns >= self._given_out_ns + self._rest_ns
+        if not self._keyframes.is_due(_ONLY, pose, {}):
+            return False
+        self._keyframes.use(_ONLY, pose, {})
+        return True
