@@ -9,7 +9,7 @@ import typer
 
 from msg_defs import cli
 from msg_defs.errors import InputError
-from multi_robot_slam.cli.options import FirstSeed, FrameRate, Out, ScenarioName, Seed
+from multi_robot_slam.cli.options import FirstSeed, FrameRate, Namespace, Out, ScenarioName, Seed
 from multi_robot_slam.cli.terminal import console, countdown, counter, messages
 
 if TYPE_CHECKING:
@@ -242,6 +242,26 @@ def cameras(
         )
     typer.echo(study_of_cameras.markdown(wanted, rows))
     console.print(f"Everything is in {out}", markup=False)
+
+
+@app.command()
+def descriptors(
+    bag: Annotated[Path, typer.Argument(help="Bag of images, or of landmarks found in images.")],
+    namespace: Namespace = None,
+) -> None:
+    """How far descriptors of equal and of different landmarks are apart: filter.descriptor_gate.
+
+    What is equal is told by the true poses in the bag, or else by those that a run estimates.
+    Prints both distributions, and the largest threshold with one wrong match in a hundred.
+    """
+    from multi_robot_slam.cli import configuration
+    from multi_robot_slam.cli.terminal import warn
+    from multi_robot_slam.studies import descriptor_gate
+
+    config = configuration.of_run(configuration.Recording(bag, namespace), None, {}, warn)
+    with messages.status(f"Comparing the frames of {bag}"):
+        found = descriptor_gate.derive(bag, config)
+    typer.echo(descriptor_gate.markdown(found, config.filter.descriptor_gate))
 
 
 def _library(folder: Path | None, seeds: range, particles: int) -> None:

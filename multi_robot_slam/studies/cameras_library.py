@@ -173,7 +173,8 @@ def closure(path: Trajectory, walked: Walk, pairs: StereoPairs) -> Closure:
     rows = [library.row_of(pairs, number) for number in (library.FIRST, library.CLOSING)]
     first, last = at(path, walked.stamps_ns[rows])
     error = increment(first, last) - walked.truth
-    return Closure(float(np.hypot(*error[:2])), float(abs(wrap(error[2]))))
+    heading = np.abs(wrap(error[2:]))
+    return Closure(float(np.hypot(*error[:2])), float(heading[0]))
 
 
 @dataclass(frozen=True)
