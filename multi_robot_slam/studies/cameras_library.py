@@ -7,7 +7,7 @@ clouds say so.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -33,7 +33,6 @@ from multi_robot_slam.studies.front_end import (
     View,
     estimated_motion,
     rig_of,
-    with_features,
 )
 
 TILT_SIGMA_RAD = 0.05
@@ -73,7 +72,8 @@ class Walk:
 def walk(pairs: StereoPairs, settings: CameraSettings) -> Walk:
     """Look at all pairs: for the map with the `settings`, for motions at `MANY` points."""
     views = looked(pairs, settings)
-    many = looked(pairs, with_features(settings, observations=MANY))
+    features = replace(settings.features, observations=MANY)
+    many = looked(pairs, replace(settings, features=features))
     rig = rig_of(pairs)
     found = [planar(estimated_motion(a, b, rig)) for a, b in pairwise(many)]
     over_two = [planar(estimated_motion(a, b, rig)) for a, b in zip(many, many[2:], strict=False)]

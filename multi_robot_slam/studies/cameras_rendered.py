@@ -148,7 +148,7 @@ def compute(job: Job) -> list[Row]:
     if job.setup == LANDMARKS:
         session = _simulated(simulation, instants, config)
     else:
-        session = _rendered(simulation, instants, clouds_of(job.out, job.setup), config)
+        session = rendered_session(simulation, instants, clouds_of(job.out, job.setup), config)
     return camera_runs.rows_of(camera_runs.estimate(session, with_batch=False), job.setup)
 
 
@@ -163,12 +163,13 @@ def _simulated(
     return Session(config, events, replace(recorded, observation_truth=known))
 
 
-def _rendered(
+def rendered_session(
     simulation: Simulation,
     instants: list[tuple[RobotStep, ...]],
     seen: list[Cloud],
     config: Config,
 ) -> Session:
+    """What the team reports that has `seen` this of the rendered images, of all robots in turn."""
     steps = [step for instant in instants for step in instant]
     identities, known = Identities(), {}
     events: list[Event] = []
