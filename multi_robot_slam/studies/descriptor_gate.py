@@ -38,7 +38,7 @@ LARGEST_TURN_RAD = np.radians(30)
 """Frames further apart or turned further show little in common, or from another side."""
 MOST_PAIRS = 2000
 """Of frames, evenly spread over all there are."""
-MOST_WRONG = 0.05
+MOST_WRONG = 0.02
 """Share of wrong matches that the filter is to live with (`gate`)."""
 LEAST_EQUAL = 100
 """Equal landmarks below which nothing can be said."""
