@@ -6,13 +6,15 @@ from typing import Annotated
 import numpy as np
 from annotated_types import Ge, Gt
 
-from msg_defs import topics
+from msg_defs import scenario_file, topics
 from msg_defs.errors import InputError
 from msg_defs.types import CameraMount, settings
 from multi_robot_slam.filter.settings import FilterSettings
 from multi_robot_slam.front_end.settings import CameraSettings
 
 SECTION = "multi_robot_slam"
+FOR_PICTURES = "cameras"
+"""The shipped scenario whose filter is the default where observations are seen in pictures."""
 MOST_ROBOTS = 32
 """A landmark keeps which robots observed it in as many bits."""
 
@@ -178,3 +180,8 @@ class Config:
     def apart_ns(self) -> int:
         """How far apart the stamps of robots may be that are heard at one time [ns]."""
         return int(max(self.reorder_window_s, SHORTEST_APART_S) * 1e9)
+
+
+def shipped(scenario: str) -> Config:
+    """What a scenario that ships says of the estimate: `paper`, `calibrated`, `cameras`."""
+    return scenario_file.from_file(Config, scenario_file.find_scenario(scenario), SECTION)

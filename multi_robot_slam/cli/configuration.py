@@ -8,7 +8,7 @@ from typing import NamedTuple
 from msg_defs import scenario_file, topics
 from msg_defs.errors import InputError
 from multi_robot_slam.bags import BagReader, absolute
-from multi_robot_slam.config import SECTION, Config
+from multi_robot_slam.config import FOR_PICTURES, SECTION, Config
 from multi_robot_slam.pipeline import image_bags, offline
 
 OF_THE_RECORDING = (
@@ -18,8 +18,6 @@ OF_THE_RECORDING = (
 """Facts about the robots and what they sent, which another way to estimate does not change."""
 OF_EACH_ROBOT = ("start_poses", "mounts")
 """Those of them with one entry for each robot, in the order of `robots`; `mounts` may be empty."""
-FOR_PICTURES = "cameras"
-"""The shipped scenario whose filter is the default where observations are seen in pictures."""
 
 
 class Recording(NamedTuple):

@@ -27,15 +27,14 @@ from msg_defs.types import (
     Trajectory,
 )
 from multi_robot_slam.bags import BagWriter
-from multi_robot_slam.config import SECTION, Config
+from multi_robot_slam.config import FOR_PICTURES, SECTION, Config, shipped
 from multi_robot_slam.datasets.identities import Identities
 from multi_robot_slam.datasets.levelling import Cloud, in_map, levelled
 from multi_robot_slam.datasets.stereo_recording import SpacePath, StereoPairs, StereoRecording
 from multi_robot_slam.datasets.wheels import noisy_odometry
-from multi_robot_slam.filter.settings import FilterSettings
 from multi_robot_slam.front_end.front_end import FrontEnd
 from multi_robot_slam.front_end.rig import StereoRig
-from multi_robot_slam.front_end.settings import DESCRIPTOR_GATE, CameraSettings, FeatureSettings
+from multi_robot_slam.front_end.settings import CameraSettings, FeatureSettings
 
 FORMATS = {".png": "png", ".jpg": "jpeg"}
 """Of the sources' files, as sensor_msgs/CompressedImage names them."""
@@ -166,7 +165,7 @@ def configuration(team: list[Part], camera: CameraSettings) -> Config:
         start_poses=tuple(tuple(part.planar().poses[0].tolist()) for part in team),
         mount=mount(team),
         camera=camera,
-        filter=FilterSettings(descriptor_gate=DESCRIPTOR_GATE, noise_at="landmark"),
+        filter=shipped(FOR_PICTURES).filter,
     )
 
 

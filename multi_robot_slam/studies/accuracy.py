@@ -15,7 +15,7 @@ import numpy as np
 from msg_defs import scenario_file
 from msg_defs.errors import InputError
 from msg_defs.types import Trajectory
-from multi_robot_slam.config import SECTION, Config
+from multi_robot_slam.config import shipped
 from multi_robot_slam.filter.settings import FilterSettings
 from multi_robot_slam.pipeline import refinement
 from multi_robot_slam.pipeline.pipeline import Pipeline
@@ -63,7 +63,7 @@ class Job:
 def calibrated(resample_below: float = 0.5) -> Base:
     """The calibrated scenario, and the filters that are compared in it, one thread each."""
     path = scenario_file.find_scenario("calibrated")
-    config = scenario_file.from_file(Config, path, SECTION)
+    config = shipped("calibrated")
     own = replace(config.filter, threads=1, resample_below=resample_below)
     never = replace(own.rejuvenation, ancestors_below=0.0)
     filters = {p: replace(own, proposal=p, rejuvenation=never) for p in ("motion", "informed")}

@@ -8,7 +8,7 @@ import yaml
 
 from msg_defs import scenario_file
 from msg_defs.errors import InputError
-from multi_robot_slam.front_end.settings import FeatureSettings
+from multi_robot_slam.config import FOR_PICTURES, shipped
 from multi_robot_slam.studies import cameras_recorded, cameras_rendered, cameras_table, table
 from multi_robot_slam.studies.cameras_table import Key, Row
 
@@ -72,7 +72,7 @@ def _settings(wanted: Plan) -> str:
     own = {
         "cameras": wanted.source,
         "folder": None if wanted.folder is None else str(wanted.folder.resolve()),
-        "features": scenario_file.to_plain(FeatureSettings()),
+        "settings": scenario_file.to_plain(shipped(FOR_PICTURES)),
     }
     return yaml.safe_dump(own, sort_keys=False)
 

@@ -16,13 +16,12 @@ import numpy as np
 from msg_defs.topics import robot_name
 from msg_defs.types import CameraMount, Event, ObservationSet, PoseSample, Trajectory
 from multi_robot_slam import runs
-from multi_robot_slam.config import Config
+from multi_robot_slam.config import FOR_PICTURES, Config, shipped
 from multi_robot_slam.datasets import stereo_bag
 from multi_robot_slam.datasets.levelling import levelling_noise
 from multi_robot_slam.datasets.stereo_recording import StereoPairs
-from multi_robot_slam.filter.settings import FilterSettings
 from multi_robot_slam.front_end.front_end import Seen
-from multi_robot_slam.front_end.settings import DESCRIPTOR_GATE, CameraSettings
+from multi_robot_slam.front_end.settings import CameraSettings
 from multi_robot_slam.models.motion import MotionSettings, increment, move, wrap
 from multi_robot_slam.models.symmetric import pack, unpack
 from multi_robot_slam.runs.trajectory_errors import at
@@ -150,9 +149,7 @@ def session(walked: Walk, seed: int, particles: int) -> Session:
         robots=(ROBOT,),
         start_poses=((0.0, 0.0, 0.0),),
         mount=CameraMount(forward_m=0.0, left_m=0.0, up_m=0.0),
-        filter=FilterSettings(
-            descriptor_gate=DESCRIPTOR_GATE, noise_at="landmark", motion=walked.noise
-        ),
+        filter=replace(shipped(FOR_PICTURES).filter, motion=walked.noise),
     )
     events: list[Event] = []
     for stamp, pose, view in zip(path.stamps_ns.tolist(), path.poses, walked.views, strict=True):

@@ -9,13 +9,13 @@ import numpy as np
 from msg_defs import scenario_file
 from msg_defs.types import CameraMount, Event, ObservationSet, StereoCamera
 from multi_robot_slam import runs
-from multi_robot_slam.config import SECTION, Config
+from multi_robot_slam.config import FOR_PICTURES, Config, shipped
 from multi_robot_slam.datasets.identities import Identities
 from multi_robot_slam.datasets.levelling import PAPER_TO_OPTICAL, Cloud, in_map
 from multi_robot_slam.datasets.stereo_bag import true_map
 from multi_robot_slam.front_end.front_end import FrontEnd
 from multi_robot_slam.front_end.rig import StereoRig
-from multi_robot_slam.front_end.settings import DESCRIPTOR_GATE, CameraSettings, FeatureSettings
+from multi_robot_slam.front_end.settings import FeatureSettings
 from multi_robot_slam.models import stereo
 from multi_robot_slam.models.motion import move
 from multi_robot_slam.studies import camera_runs, clouds
@@ -66,7 +66,7 @@ def scenario(setup: str) -> Scenario:
     path = scenario_file.find_scenario("calibrated")
     base = scenario_file.from_file(Scenario, path, WORLD_SECTION)
     if setup == LANDMARKS:
-        return _landmark_level(base, FeatureSettings())
+        return _landmark_level(base, shipped(FOR_PICTURES).camera.features)
     return replace(base, images=_images(setup))
 
 
@@ -96,16 +96,14 @@ def _mapping(value: object) -> dict[str, object]:
 
 def configuration(simulation: Simulation, setup: str) -> Config:
     """What the filter is told."""
-    path = scenario_file.find_scenario("calibrated")
-    base = scenario_file.from_file(Config, path, SECTION)
+    base = shipped("calibrated" if setup == LANDMARKS else FOR_PICTURES)
     starts = simulation.start_poses
-    gate = base.filter.descriptor_gate if setup == LANDMARKS else DESCRIPTOR_GATE
     return replace(
         base,
         robots=tuple(starts),
         start_poses=tuple((float(x), float(y), float(yaw)) for x, y, yaw in starts.values()),
         mount=simulation.scenario.camera.mount,
-        filter=replace(base.filter, noise_at="landmark", descriptor_gate=gate),
+        filter=replace(base.filter, noise_at="landmark"),
     )
 
 
@@ -119,7 +117,7 @@ def _looked(setup: str) -> Iterator[Cloud]:
     renderer = simulation.renderer
     if renderer is None:
         raise ValueError(f"{setup} has no images")
-    front_end = FrontEnd(rig_of(simulation.scenario.camera), CameraSettings())
+    front_end = FrontEnd(rig_of(simulation.scenario.camera), shipped(FOR_PICTURES).camera)
     for instant in simulation.steps():
         for step in instant:
             seen = front_end.observe(*renderer.pair(step.truth))

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 from msg_defs import scenario_file
 from msg_defs.errors import InputError
-from multi_robot_slam.config import SECTION, Config
+from multi_robot_slam.config import shipped
 from multi_robot_slam.filter.settings import NO_REJUVENATION, FilterSettings
 from multi_robot_slam.studies.experiment_table import Key, Trial
 from multi_robot_slam.studies.exploration import Base
@@ -40,7 +40,7 @@ REPEATS, QUICK_REPEATS = 20, 2
 def paper() -> Base:
     """The paper's world and parameters (Table 2). Filters use one thread: runs share the cores."""
     path = scenario_file.find_scenario("paper")
-    config = scenario_file.from_file(Config, path, SECTION)
+    config = shipped("paper")
     filters = {
         "motion": config.filter,
         "informed": FilterSettings(rejuvenation=NO_REJUVENATION),
