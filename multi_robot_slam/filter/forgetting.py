@@ -16,7 +16,7 @@ from multi_robot_slam.models.frames import Record
 NEIGHBOURHOOD_M = 2.0
 """Side of the cells in each of which as many landmarks are kept; a view has a dozen."""
 
-PATIENCE = 10
+PATIENCE = 30
 """Frames of its robot after which a landmark that was seen once is taken for a chance find."""
 
 NOTHING = -1

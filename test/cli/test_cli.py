@@ -142,7 +142,19 @@ def test_the_shell_completes_verbs_and_values(monkeypatch, capfd, tmp_path):
     (tmp_path / "mine.yaml").touch()
     for words, offered in (
         (("ev",), ["evaluate"]),
-        (("study", ""), ["experiment", "accuracy", "real", "cameras", "hours", "latency", "bench"]),
+        (
+            ("study", ""),
+            [
+                "experiment",
+                "accuracy",
+                "real",
+                "cameras",
+                "descriptors",
+                "hours",
+                "latency",
+                "bench",
+            ],
+        ),
         (("demo", "--scenario", ""), ["calibrated", "cameras", "paper", "mine.yaml"]),
         (("evaluate", ""), ["runs/first"]),
         (("run", "bag", "--set", "reord"), ["reorder_window_s="]),

@@ -65,7 +65,7 @@ def replace_robot(robot):
 
 
 def test_one_observation_says_nothing_of_the_paths():
-    state, settings = filtered(steps=20)
+    state, settings = filtered(steps=PATIENCE + 10)
     records, identities, poses = remembered(state)
     identities = [ids.astype(np.int64) for ids in identities]
     rng = np.random.default_rng(0)
