@@ -13,6 +13,7 @@ from multi_robot_slam.cli.terminal import console, countdown, messages
 if TYPE_CHECKING:
     from multi_robot_slam.datasets.recording import Recording
     from multi_robot_slam.datasets.stereo_recording import StereoRecording
+    from multi_robot_slam.front_end.settings import CameraSettings
 
 app = typer.Typer(
     help="Recordings of real robots, downloaded in their own formats -> bags for `run`.",
@@ -87,7 +88,8 @@ def euroc(
 
     with messages.status(f"Reading {folder}"):
         recording = stereo_bag.spaced(source.read(folder), rate)
-    _convert_stereo(recording, out, robots, True, scale, seed)
+    camera = stereo_bag.camera_settings(recording, scale)
+    _convert_stereo(recording, out, robots, True, camera, seed)
 
 
 @app.command()
@@ -112,16 +114,21 @@ def kitti(
 
     with messages.status(f"Reading {folder}"):
         recording = stereo_bag.spaced(source.read(folder), rate)
-    _convert_stereo(recording, out, robots, landmarks, scale, seed)
+    camera = stereo_bag.camera_settings(recording, scale, stereo_bag.ON_ROADS_M)
+    _convert_stereo(recording, out, robots, landmarks, camera, seed)
 
 
 def _convert_stereo(
-    recording: "StereoRecording", out: Path, robots: int, landmarks: bool, scale: float, seed: int
+    recording: "StereoRecording",
+    out: Path,
+    robots: int,
+    landmarks: bool,
+    camera: "CameraSettings",
+    seed: int,
 ) -> None:
     from multi_robot_slam.datasets import stereo_bag
 
     team = stereo_bag.parts(recording, robots)
-    camera = stereo_bag.camera_settings(recording, scale)
     config = stereo_bag.configuration(team, camera)
     saw = None
     with countdown() as progress:

@@ -245,6 +245,42 @@ def cameras(
 
 
 @app.command()
+def front_end(
+    source: Annotated[str, typer.Argument(help="euroc, kitti or rendered.")],
+    folder: Annotated[
+        Path | None, typer.Argument(help="Folder of the recording, as of `convert euroc`.")
+    ] = None,
+    scale: Annotated[
+        float, typer.Option(min=0.1, max=1, help="Size of the images that are searched.")
+    ] = 1.0,
+    setup: Annotated[
+        str, typer.Option(help="Of rendered images: a set-up of `study cameras`.")
+    ] = "rendered",
+) -> None:
+    """How good landmarks found in images are, one pair against another, and how long they take.
+
+    Of a recording: landmark NEES, matches of places that are seen again, the pose of one frame from
+    another's landmarks, the drift from frame to frame, and the time of a pair beside that of SIFT
+    alone. Of rendered images the time of both. Times are those of one thread.
+    """
+    from multi_robot_slam.studies import cameras_rendered, front_end_table
+
+    if source not in ("euroc", "kitti", "rendered"):
+        raise InputError(f"no images '{source}'; there are euroc, kitti, rendered")
+    if (folder is None) != (source == "rendered"):
+        raise InputError(f"study front-end {source}: name the folder of a recording, and none else")
+    images = [name for name in cameras_rendered.SETUPS if name != cameras_rendered.LANDMARKS]
+    if setup not in images:
+        raise InputError(f"no set-up '{setup}' with images; there are {', '.join(images)}")
+    with messages.status(f"Looking at images of {folder or setup}"):
+        if folder is None:
+            found = front_end_table.of_rendered(setup)
+        else:
+            found = front_end_table.of_recording(source, folder, scale)
+    typer.echo(front_end_table.markdown(found))
+
+
+@app.command()
 def descriptors(
     bag: Annotated[Path, typer.Argument(help="Bag of images, or of landmarks found in images.")],
     namespace: Namespace = None,

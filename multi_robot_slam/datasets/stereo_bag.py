@@ -130,12 +130,18 @@ def mount(team: list[Part]) -> CameraMount:
     return CameraMount(forward_m=0.0, left_m=0.0, up_m=float(heights.mean().round(3)))
 
 
-def camera_settings(recording: StereoRecording, scale: float) -> CameraSettings:
+INDOORS_M, ON_ROADS_M = (0.4, 40.0), (3.0, 100.0)
+"""How near and how far points are looked for; a car's bonnet is not in its camera's view."""
+
+
+def camera_settings(
+    recording: StereoRecording, scale: float, range_m: tuple[float, float] = INDOORS_M
+) -> CameraSettings:
     """How the camera's images are named and searched."""
     return CameraSettings(
         image="image_rect" if recording.is_rectified else "image_raw",
         image_transport="compressed",
-        features=FeatureSettings(scale=scale),
+        features=FeatureSettings(scale=scale, nearest_m=range_m[0], farthest_m=range_m[1]),
     )
 
 

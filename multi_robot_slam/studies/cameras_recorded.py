@@ -21,6 +21,7 @@ SETUPS = {
     "kitti": ("one robot",),
 }
 TRUTHS = {"euroc": EUROC_TRUTH, "kitti": KITTI_TRUTH}
+RANGES_M = {"euroc": stereo_bag.INDOORS_M, "kitti": stereo_bag.ON_ROADS_M}
 
 MOST_HZ = 4.0
 """Of EuRoC's images those that come faster are left out; KITTI has all."""
@@ -47,7 +48,7 @@ def recording(source: str, folder: Path) -> StereoRecording:
 def compute(job: Job) -> list[Row]:
     """Run the filter and judge it."""
     pairs = recording(job.source, job.folder)
-    camera = stereo_bag.camera_settings(pairs, scale=1.0)
+    camera = stereo_bag.camera_settings(pairs, 1.0, RANGES_M[job.source])
     seen = _clouds(job, pairs)
     team = stereo_bag.parts(pairs, 1 if job.setup == "one robot" else 2)
     config = stereo_bag.configuration(team, camera)
@@ -65,7 +66,7 @@ def make_clouds(job: Job) -> None:
 
 def _clouds(job: Job, pairs: StereoRecording) -> list[Cloud]:
     """What the front end finds in each pair."""
-    camera = stereo_bag.camera_settings(pairs, scale=1.0)
+    camera = stereo_bag.camera_settings(pairs, 1.0, RANGES_M[job.source])
     team = stereo_bag.parts(pairs, 1)
     return clouds.kept(job.out / "clouds.npz", lambda: stereo_bag.look(team, camera)[team[0].robot])
 

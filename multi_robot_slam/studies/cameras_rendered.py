@@ -112,8 +112,13 @@ def clouds_of(out: Path, setup: str) -> list[Cloud]:
     return clouds.kept(out / f"{setup.replace(' ', '_')}.npz", lambda: _looked(setup))
 
 
+def simulation_of(setup: str) -> Simulation:
+    """The one whose images the `setup` has."""
+    return Simulation(scenario(setup), PICTURE_SEED)
+
+
 def _looked(setup: str) -> Iterator[Cloud]:
-    simulation = Simulation(scenario(setup), PICTURE_SEED)
+    simulation = simulation_of(setup)
     renderer = simulation.renderer
     if renderer is None:
         raise ValueError(f"{setup} has no images")

@@ -149,6 +149,7 @@ def test_the_shell_completes_verbs_and_values(monkeypatch, capfd, tmp_path):
                 "accuracy",
                 "real",
                 "cameras",
+                "front-end",
                 "descriptors",
                 "hours",
                 "latency",
