@@ -61,7 +61,7 @@ def smooth_and_join(
         pairs = pairs[np.isin(pairs, problem.ids).all(axis=1)]
         rows = np.searchsorted(problem.ids, pairs)
         limit = joining_gate(gate, len(problem.positions), correlated)
-        joined = closest_pairs(problem, smoothed, rows, limit, exclusive)
+        joined = closest_pairs(problem, smoothed, rows, limit, exclusive, correlated)
         if not len(joined):
             return problem, smoothed, aliases
         poses, aliases = smoothed.of_records, aliases.joined(problem.ids[joined])
@@ -74,7 +74,12 @@ def _distinct(pairs: np.ndarray) -> np.ndarray:
 
 
 def closest_pairs(
-    problem: Problem, smoothed: Smoothed, pairs: np.ndarray, limit: float, exclusive: bool
+    problem: Problem,
+    smoothed: Smoothed,
+    pairs: np.ndarray,
+    limit: float,
+    exclusive: bool,
+    correlated: float = 1.0,
 ) -> np.ndarray:
     """The closest of `pairs` (A, 2) of landmarks with D up to `limit`, each in one at most.
 
@@ -87,7 +92,7 @@ def closest_pairs(
         return pairs
     distances = np.concatenate(
         [
-            _mahalanobis_sq(problem, smoothed, pairs[start : start + AT_A_TIME])
+            _mahalanobis_sq(problem, smoothed, pairs[start : start + AT_A_TIME], correlated)
             for start in range(0, len(pairs), AT_A_TIME)
         ]
     )
@@ -107,9 +112,9 @@ def joining_gate(gate: float, observations: int, correlated: float) -> float:
     """D up to which two landmarks are one: `widened_gate`, where each may have one detection.
 
     Where covariances are `correlated` times those of an observation a detector finds many points
-    beside each other that look alike: then the gate as the single observation has it.
+    beside each other that look alike: then the gate of a single observation.
     """
-    return widened_gate(gate, observations) if correlated == 1 else gate / correlated
+    return widened_gate(gate, observations) if correlated == 1 else gate
 
 
 def widened_gate(gate: float, observations: int) -> float:
@@ -121,13 +126,18 @@ def widened_gate(gate: float, observations: int) -> float:
     return float(chdtri(3, chdtrc(3, gate) / max(observations, 1)))
 
 
-def _mahalanobis_sq(problem: Problem, smoothed: Smoothed, pairs: np.ndarray) -> np.ndarray:
-    """D between the landmarks of each pair (A,)."""
+def _mahalanobis_sq(
+    problem: Problem, smoothed: Smoothed, pairs: np.ndarray, correlated: float
+) -> np.ndarray:
+    """D between the landmarks of each pair (A,), as exact as a mean of independent errors is.
+
+    Errors that are alike move two landmarks that are seen together alike.
+    """
     wanted = np.unique(pairs)
     rows = np.searchsorted(wanted, pairs)
     deviations = landmark_deviations(problem, smoothed, wanted)
     apart = smoothed.landmarks[pairs[:, 0], :3] - smoothed.landmarks[pairs[:, 1], :3]
-    covariances = unpack(smoothed.landmarks[pairs, 3:].sum(axis=1))
+    covariances = unpack(smoothed.landmarks[pairs, 3:].sum(axis=1)) / correlated
     shared = deviations[rows[:, 0]] - deviations[rows[:, 1]]
     covariances += shared @ shared.transpose(0, 2, 1)
     try:

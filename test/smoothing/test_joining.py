@@ -96,9 +96,9 @@ def test_looking_at_likely_pairs_alone_finds_the_same(split, exclusive, monkeypa
     looked_at = []
     real = joining._mahalanobis_sq
 
-    def noted(problem, smoothed, pairs):
+    def noted(problem, smoothed, pairs, correlated):
         looked_at.append(len(pairs))
-        return real(problem, smoothed, pairs)
+        return real(problem, smoothed, pairs, correlated)
 
     monkeypatch.setattr(joining, "_mahalanobis_sq", noted)
     found = joining.closest_pairs(problem, smoothed, pairs, GATE, exclusive)
@@ -114,4 +114,4 @@ def test_looking_at_likely_pairs_alone_finds_the_same(split, exclusive, monkeypa
 
 def test_where_errors_are_alike_the_gate_is_that_of_one_observation():
     assert joining.joining_gate(11.345, 100, 1.0) == joining.widened_gate(11.345, 100)
-    assert joining.joining_gate(12.0, 100, 3.0) == 4.0
+    assert joining.joining_gate(12.0, 100, 3.0) == 12.0
