@@ -148,7 +148,8 @@ def _keypoints(image: np.ndarray, settings: FeatureSettings) -> tuple[Keypoints,
         found = Keypoints.of(image, settings)
         return found, found.pixels
     scale = settings.scale
-    small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    size = [max(1, round(pixels * scale)) for pixels in image.shape[::-1]]
+    small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
     found = Keypoints.of(small, settings)
     ratio = np.divide(image.shape[::-1], small.shape[::-1])
     return found, (found.pixels + 0.5) * ratio - 0.5

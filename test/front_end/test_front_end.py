@@ -8,6 +8,7 @@ from front_end import planes
 
 from msg_defs.errors import InputError
 from multi_robot_slam.front_end.front_end import FrontEnd
+from multi_robot_slam.front_end.rig import StereoRig
 from multi_robot_slam.front_end.settings import CameraSettings, FeatureSettings
 from multi_robot_slam.models.symmetric import unpack
 
@@ -122,3 +123,22 @@ def test_an_image_of_another_size_is_an_input_error():
     left, right = planes.pair()
     with pytest.raises(InputError, match="480 x 320"):
         front_end().observe(left, right[:, 10:])
+
+
+def test_an_odd_image_at_half_scale_has_its_points_where_they_are():
+    """641 columns become 320: the last are further from where twice the column says."""
+    right = np.random.default_rng(0).integers(60, 70, (161, 641)).astype(np.uint8)
+    row, column = np.mgrid[:161, :641]
+    blob = np.exp(-((column - 600.0) ** 2 + (row - 80.0) ** 2) / (2 * 5.0**2))
+    left = (right + 150 * blob).astype(np.uint8)
+    right = (right + 150 * np.roll(blob, -12, axis=1)).astype(np.uint8)
+    rig = StereoRig(500.0, (320.0, 80.0), 0.1, 641, 161)
+    settings = CameraSettings(features=FeatureSettings(scale=0.5, distinct=0.0))
+    pixels = FrontEnd(rig, settings).observe(left, right).pixels
+    nearest = np.linalg.norm(pixels[:, :2] - [600, 80], axis=1).min()
+    assert nearest < 0.3
+
+
+def test_an_image_too_small_for_the_scale_shows_nothing():
+    settings = CameraSettings(features=FeatureSettings(scale=1e-4))
+    assert len(FrontEnd(RIG, settings).observe(*planes.pair()).positions) == 0
