@@ -14,6 +14,10 @@ SAME_PX = 0.01
 """Intrinsics that differ by less are the same: a tenth of the disparity's error [px]."""
 
 
+MOST_PX = 32_766
+"""Width and height of the largest image that OpenCV rectifies [px]."""
+
+
 @dataclass(frozen=True, eq=False)
 class StereoRig:
     """Two pin-hole cameras with parallel axes, equal intrinsics and square pixels."""
@@ -45,7 +49,7 @@ class StereoRig:
         Raises
         ------
         InputError
-            No calibration, no baseline, cameras swapped, sizes that differ, an unknown distortion.
+            No calibration, no baseline, no size, cameras swapped, sizes that differ, an unknown distortion.
 
         """
         sizes = [(info.width_px, info.height_px) for info in (left, right)]
@@ -53,6 +57,11 @@ class StereoRig:
             raise InputError(
                 f"camera_info: the left image is {_size(sizes[0])} pixels, the right one "
                 f"{_size(sizes[1])}; calibrate the pair at one size"
+            )
+        if not all(0 < pixels <= MOST_PX for pixels in sizes[0]):
+            raise InputError(
+                f"camera_info: images of {_size(sizes[0])} pixels; calibrate the pair and send "
+                f"the size of its images, {MOST_PX} each way at most"
             )
         for side, info in (("left", left), ("right", right)):
             _require_projection(side, info)

@@ -143,6 +143,13 @@ def test_a_baseline_can_be_given_where_the_calibration_has_none():
             True,
             ["right", "3 numbers", "4 or 5"],
         ),
+        (info("left", width_px=0), info("right", width_px=0), False, ["0 x 240", "size"]),
+        (
+            info("left", width_px=10**6),
+            info("right", width_px=10**6),
+            True,
+            ["1000000 x 240", "32766"],
+        ),
         (info("left", intrinsics=np.zeros((3, 3))), info("right"), True, ["left", "K"]),
         (info("left"), info("right", rotation=np.zeros((3, 3))), True, ["right", "R", "rotation"]),
     ],
