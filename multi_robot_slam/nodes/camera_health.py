@@ -108,7 +108,8 @@ class CameraHealth:
         if len(self._last.positions) < FEW:
             return wire.WARN, (
                 f"few points: {len(self._last.positions)} of {self._last.counts.keypoints} "
-                "keypoints have a place in both pictures; look at exposure, focus and calibration"
+                "keypoints have a place in both pictures; look at exposure, focus and calibration, "
+                "and whether left and right are swapped"
             )
         return wire.OK, "running"
 
