@@ -49,7 +49,8 @@ class StereoRig:
         Raises
         ------
         InputError
-            No calibration, no baseline, no size, cameras swapped, sizes that differ, an unknown distortion.
+            No calibration, no baseline, no size, cameras swapped, sizes that differ, an unknown
+            distortion.
 
         """
         sizes = [(info.width_px, info.height_px) for info in (left, right)]
