@@ -2,7 +2,7 @@
 
 A particle that misses a loop creates landmarks anew, and smoothing alone cannot know. Two landmarks
 are joined when they look alike (E <= E_0) and lie together: D, with the joint covariance that the
-smoothing gives them, inside `joining_gate`.
+smoothing gives them, inside `widened_gate`.
 """
 
 from collections.abc import Callable
@@ -60,7 +60,7 @@ def smooth_and_join(
         pairs = _distinct(aliases.of(alike))
         pairs = pairs[np.isin(pairs, problem.ids).all(axis=1)]
         rows = np.searchsorted(problem.ids, pairs)
-        limit = joining_gate(gate, len(problem.positions), correlated)
+        limit = widened_gate(gate, len(problem.positions))
         joined = closest_pairs(problem, smoothed, rows, limit, exclusive, correlated)
         if not len(joined):
             return problem, smoothed, aliases
@@ -106,15 +106,6 @@ def closest_pairs(
             chosen.append(pair)
             taken.update(pair.tolist())
     return np.array(chosen, int).reshape(-1, 2)
-
-
-def joining_gate(gate: float, observations: int, correlated: float) -> float:
-    """D up to which two landmarks are one: `widened_gate`, where each may have one detection.
-
-    Where covariances are `correlated` times those of an observation a detector finds many points
-    beside each other that look alike: then the gate of a single observation.
-    """
-    return widened_gate(gate, observations) if correlated == 1 else gate
 
 
 def widened_gate(gate: float, observations: int) -> float:

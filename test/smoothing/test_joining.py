@@ -1,11 +1,14 @@
 """Landmarks that are one are found, whatever they were called."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import worlds
 from drives import GATE, filtered, remembered
 from scipy.stats import chi2
 
+from multi_robot_slam.models.symmetric import unpack
 from multi_robot_slam.smoothing import joining, solve
 from multi_robot_slam.smoothing.prior import Prior
 from multi_robot_slam.smoothing.problem import problem_of
@@ -112,6 +115,18 @@ def test_looking_at_likely_pairs_alone_finds_the_same(split, exclusive, monkeypa
     assert few < 0.7 * sum(looked_at)
 
 
-def test_where_errors_are_alike_the_gate_is_that_of_one_observation():
-    assert joining.joining_gate(11.345, 100, 1.0) == joining.widened_gate(11.345, 100)
-    assert joining.joining_gate(12.0, 100, 3.0) == 12.0
+def test_what_covariances_have_beyond_independent_errors_does_not_join(split):
+    """D of a pair is that of landmarks whose own covariances are so many times smaller."""
+    records, poses, identities = split
+    problem = problem_of(records, identities, Prior.exact(worlds.START), worlds.settings().motion)
+    smoothed = solve.smooth(problem, poses)
+    smaller = replace(smoothed, landmarks=smoothed.landmarks.copy())
+    smaller.landmarks[:, 3:] /= 3
+    pairs = np.array([[0, 1], [2, 7], [3, 12]])
+    found = joining._mahalanobis_sq(problem, smoothed, pairs, 3.0)
+    shared = joining.landmark_deviations(problem, smoothed, np.arange(len(problem.ids)))
+    for row, (a, b) in enumerate(pairs):
+        apart = smaller.landmarks[a, :3] - smaller.landmarks[b, :3]
+        both = unpack(smaller.landmarks[[a, b], 3:]).sum(axis=0)
+        both = both + (shared[a] - shared[b]) @ (shared[a] - shared[b]).T
+        assert found[row] == pytest.approx(apart @ np.linalg.solve(both, apart), rel=1e-6)
