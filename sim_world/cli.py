@@ -19,7 +19,7 @@ app.callback()(cli.options)
 ScenarioName = Annotated[
     str,
     typer.Option(
-        help="Scenario: a YAML file, or paper or calibrated.", autocompletion=cli.scenarios
+        help="Scenario: a YAML file, or paper, calibrated or cameras.", autocompletion=cli.scenarios
     ),
 ]
 Robots = Annotated[int | None, typer.Option(min=1, max=32, help="Number of robots.")]
