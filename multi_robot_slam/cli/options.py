@@ -18,7 +18,7 @@ Out = Annotated[Path | None, typer.Option(help="Folder to write; it must not exi
 ScenarioName = Annotated[
     str,
     typer.Option(
-        help="Scenario: a YAML file, or paper or calibrated.", autocompletion=cli.scenarios
+        help="Scenario: a YAML file, or paper, calibrated or cameras.", autocompletion=cli.scenarios
     ),
 ]
 OtherScenario = Annotated[

@@ -189,7 +189,8 @@ def _require_lens(side: str, info: CameraInfo) -> None:
         )
     if not (info.intrinsics[[0, 1], [0, 1]] > 0).all():
         raise InputError(f"{where}: K is {info.intrinsics.tolist()}; calibrate it and send its K")
-    if not np.allclose(info.rotation @ info.rotation.T, np.eye(3), atol=1e-3):
+    is_rotation = np.allclose(info.rotation @ info.rotation.T, np.eye(3), atol=1e-3)
+    if not is_rotation or np.linalg.det(info.rotation) < 0:
         raise InputError(
             f"{where}: R is {info.rotation.tolist()}, no rotation; calibrate the pair and send R"
         )

@@ -49,6 +49,12 @@ def see(look: Look, config: Config) -> Sight:
         seen = look.front_end.observe(left, right)
     except InputError as error:
         raise InputError(f"pair of {look.robot}: {error}") from None
+    except cv2.error as error:
+        reason = " ".join(str(error).split())
+        raise InputError(
+            f"pair of {look.robot}, {left.shape[1]} x {left.shape[0]}: OpenCV cannot look at it "
+            f"({reason}); check camera_info and camera.features"
+        ) from None
     stamp_ns, frame = look.pair.stamp_ns, config.camera_frame or CAMERA_FRAME
     observed = ObservationSet(
         look.robot, stamp_ns, seen.positions, seen.covariances, seen.descriptors

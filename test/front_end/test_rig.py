@@ -152,6 +152,7 @@ def test_a_baseline_can_be_given_where_the_calibration_has_none():
         ),
         (info("left", intrinsics=np.zeros((3, 3))), info("right"), True, ["left", "K"]),
         (info("left"), info("right", rotation=np.zeros((3, 3))), True, ["right", "R", "rotation"]),
+        (info("left", rotation=np.diag([1.0, 1, -1])), info("right"), True, ["left", "rotation"]),
     ],
 )
 def test_a_calibration_that_cannot_be_used_is_named_with_its_remedy(left, right, rectify, words):

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pictures
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from msg_defs import topics, wire
 from msg_defs.errors import InputError
 from multi_robot_slam.bags import BagReader
+from multi_robot_slam.front_end.front_end import FrontEnd
 from multi_robot_slam.front_end.settings import DESCRIPTOR_GATE
 from multi_robot_slam.pipeline import cameras, landmarks, offline, sights
 
@@ -301,3 +303,18 @@ def test_pictures_without_a_configuration_are_told_what_is_missing(tmp_path, com
     code, _, told = command("run", tmp_path / "bag", *words)
     assert code == 0, told
     assert f"descriptor_gate: {DESCRIPTOR_GATE}" in (tmp_path / "out" / "config.yaml").read_text()
+
+
+def test_a_pair_that_opencv_cannot_look_at_is_one_that_is_refused(monkeypatch):
+    def fails(self, left, right):
+        raise cv2.error("on\npurpose")
+
+    config = pictures.team()
+    camera = cameras.Camera(config, "robot_1", print)
+    found = []
+    for _, topic, data in pictures.drive(steps=1):
+        if topic in camera.inputs:
+            found += camera.take(topic, data)
+    monkeypatch.setattr(FrontEnd, "observe", fails)
+    with pytest.raises(InputError, match=r"robot_1.*on purpose.*camera_info"):
+        sights.see(found[0], config)
