@@ -79,8 +79,8 @@ COLUMNS = {
 def markdown(rows: Sequence[Row], over: str | None = None) -> str:
     """Mean ± standard deviation over the seeds, for each set-up and robot, in their order.
 
-    With ratios: of the published error over the odometry's and over the batch's, and over that of
-    the set-up `over`, each of root mean squares over the seeds.
+    With ratios: of the published error over the odometry's, over the batch's in those runs that
+    have one, and over that of the set-up `over`, each of root mean squares over the seeds.
     """
     ratios = ["published / odometry", "published / batch"]
     ratios += [f"published / {over}"] if over else []
@@ -92,7 +92,8 @@ def markdown(rows: Sequence[Row], over: str | None = None) -> str:
     for (setup, robot), group in groups.items():
         cells = [_cell([getattr(row, name) for row in group]) for name in COLUMNS]
         cells += [_ratio(group, group, "odometry_path_rmse_m")]
-        cells += [_ratio(group, group, "batch_path_rmse_m")]
+        solved = [row for row in group if row.batch_path_rmse_m is not None]
+        cells += [_ratio(solved, solved, "batch_path_rmse_m")]
         if over:
             cells += [_ratio(group, groups.get((over, robot), []), "online_path_rmse_m")]
         lines.append("| " + " | ".join([setup, robot, str(len(group)), *cells]) + " |")
@@ -101,10 +102,10 @@ def markdown(rows: Sequence[Row], over: str | None = None) -> str:
 
 def _ratio(group: list[Row], reference: list[Row], name: str) -> str:
     """Published errors of the `group` over those that the `reference` has under `name`."""
-    over = [getattr(row, name) for row in reference]
-    if not over or None in over:
+    if not reference:
         return "-"
     own = [row.online_path_rmse_m for row in group]
+    over = [getattr(row, name) for row in reference]
     return f"{np.sqrt(np.mean(np.square(own)) / np.mean(np.square(over))):.2f}"
 
 

@@ -86,7 +86,7 @@ def test_the_table_survives_a_round_trip_and_ratios_are_of_root_mean_squares(tmp
     assert [*cameras_table.opened(tmp_path / "cameras.csv").rows.values()] == rows
     first = cameras_table.markdown(rows, over="two robots").splitlines()[2]
     cells = [cell.strip() for cell in first.split("|")]
-    assert cells[-4:-1] == [f"{np.sqrt(12.5) / 10:.2f}", "-", f"{np.sqrt(12.5):.2f}"]
+    assert cells[-4:-1] == [f"{np.sqrt(12.5) / 10:.2f}", "8.00", f"{np.sqrt(12.5):.2f}"]
 
 
 class MadeUpRun:
