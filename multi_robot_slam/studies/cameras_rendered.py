@@ -32,6 +32,10 @@ LANDMARKS = "landmark level"
 RENDERED = "rendered"
 """Perfect images but for the lens's blur."""
 EVERYTHING = "all together"
+CALIBRATED = "all but decalibrated"
+
+DECALIBRATED = "decalibrated"
+"""The right picture is off its calibration: an error that is the same in all pairs."""
 
 PICTURE_SEED = 0
 """One rendering of each set-up serves all seeds of odometry and filter."""
@@ -45,10 +49,10 @@ NUISANCES: dict[str, dict[str, object]] = {
     "noise": {"photon_noise": 2.5, "read_noise": 1.5},
     "motion blur": {"exposure_s": 0.01},
     "people": {"people": 8},
-    "decalibrated": {"right_off_px": (0.1, 0.3)},
+    DECALIBRATED: {"right_off_px": (0.1, 0.3)},
 }
 """Settings of the images, at what their documentation calls realistic."""
-SETUPS = (LANDMARKS, RENDERED, *NUISANCES, EVERYTHING)
+SETUPS = (LANDMARKS, RENDERED, *NUISANCES, CALIBRATED, EVERYTHING)
 
 
 @dataclass(frozen=True)
@@ -83,8 +87,8 @@ def _landmark_level(base: Scenario, features: FeatureSettings) -> Scenario:
 
 def _images(setup: str) -> ImageSettings:
     values: dict[str, object] = {"enabled": True, "walls": {}}
-    chosen = NUISANCES.values() if setup == EVERYTHING else [NUISANCES.get(setup, {})]
-    for own in chosen:
+    names = {EVERYTHING: [*NUISANCES], CALIBRATED: [n for n in NUISANCES if n != DECALIBRATED]}
+    for own in (NUISANCES.get(name, {}) for name in names.get(setup, [setup])):
         walls = {**_mapping(values["walls"]), **_mapping(own.get("walls", {}))}
         values |= own | {"walls": walls}
     return scenario_file.from_mapping(ImageSettings, values, "study cameras")

@@ -64,6 +64,8 @@ def test_nuisances_come_one_at_a_time_and_all_together():
         for field in ("people", "exposure_s", "vignetting", "right_off_px", "photon_noise"):
             if getattr(own, field) != getattr(plain, field):
                 assert getattr(everything, field) == getattr(own, field)
+    others = cameras_rendered.scenario(cameras_rendered.CALIBRATED).images
+    assert others == replace(everything, right_off_px=plain.right_off_px)
     assert (everything.walls.repeated, everything.walls.plain) == (0.2, 0.3)
     assert not cameras_rendered.scenario(cameras_rendered.LANDMARKS).images.enabled
 
