@@ -20,6 +20,7 @@ from multi_robot_slam.filter.settings import FilterSettings
 from multi_robot_slam.filter.state import State, resample
 from multi_robot_slam.models.frames import RobotFrame
 from multi_robot_slam.models.parallel import one_thread
+from multi_robot_slam.models.ranging import Ranging
 from multi_robot_slam.smoothing.odometry_scale import Scales
 from multi_robot_slam.smoothing.prior import Prior
 
@@ -141,4 +142,7 @@ def two_robots(precision: float = 1.0) -> list[RobotFrame]:
         np.tile([precision, 0, 0, precision, 0, precision], (2, 1)),
         np.eye(2, DESCRIPTOR_SIZE, dtype=np.float32),
     )
-    return [RobotFrame(robot, 0, np.array([0.1, 0, 0.1]), *seen) for robot in range(2)]
+    ranging = Ranging(seen[0], 0.1 * seen[0])
+    return [
+        RobotFrame(robot, 0, np.array([0.1, 0, 0.1]), *seen, ranging=ranging) for robot in range(2)
+    ]

@@ -208,10 +208,11 @@ def test_after_close_no_thread_is_left():
     assert not worker.is_alive()
 
 
-def test_after_warming_up_nothing_is_compiled_while_frames_settle():
+@pytest.mark.parametrize("noise_at", ["measurement", "landmark"])
+def test_after_warming_up_nothing_is_compiled_while_frames_settle(noise_at):
     modules = [m for name, m in sys.modules.items() if name.startswith("multi_robot_slam.")]
     kernels = [own for m in modules for own in vars(m).values() if isinstance(own, Dispatcher)]
-    own = settings(0.0)
+    own = replace(settings(0.0), noise_at=noise_at)
     running.warm_up(own)
     before = [len(kernel.signatures) for kernel in kernels]
     assert sum(before) > 20
