@@ -12,6 +12,7 @@ import numpy as np
 
 from multi_robot_slam.filter.settings import RejuvenationSettings
 from multi_robot_slam.models.frames import Record
+from multi_robot_slam.models.ranks import in_groups
 
 NEIGHBOURHOOD_M = 2.0
 """Side of the cells in each of which as many landmarks are kept; a view has a dozen."""
@@ -65,8 +66,4 @@ def forgotten(
 def _rank_in_cell(places: np.ndarray, counts: np.ndarray, ids: np.ndarray) -> np.ndarray:
     """(n,): how many of its cell were observed more often; the newer of equals first."""
     _, cells = np.unique(np.floor(places[:, :2] / NEIGHBOURHOOD_M), axis=0, return_inverse=True)
-    order = np.lexsort([-ids, -counts, cells])
-    ranks = np.empty(len(ids), np.int64)
-    first = np.append(0, np.cumsum(np.bincount(cells)))
-    ranks[order] = np.arange(len(ids)) - first[cells[order]]
-    return ranks
+    return in_groups(cells, np.lexsort([-ids, -counts]))

@@ -9,6 +9,7 @@ import numpy as np
 
 from msg_defs.types import DESCRIPTOR_SIZE
 from multi_robot_slam.front_end.settings import FeatureSettings
+from multi_robot_slam.models.ranks import in_groups
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,11 +66,7 @@ def spread(pixels: np.ndarray, shape: tuple[int, ...], most: int) -> np.ndarray:
     columns = int(np.ceil(shape[1] / side))
     column, row = (pixels // side).astype(int).T
     cells = row * columns + column
-    order = np.argsort(cells, kind="stable")
-    starts = np.flatnonzero(np.diff(cells[order], prepend=-1))
-    lengths = np.diff(starts, append=len(cells))
-    ranks = np.empty(len(cells), int)
-    ranks[order] = np.arange(len(cells)) - np.repeat(starts, lengths)
+    ranks = in_groups(cells, np.arange(len(cells)))
     return np.sort(np.argsort(ranks, kind="stable")[:most])
 
 
