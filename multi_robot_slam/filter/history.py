@@ -88,6 +88,7 @@ class History:
             parents=self._leaves,
             sightings=frame.sightings,
             ranging=frame.ranging,
+            extra=frame.extra,
         )
         self.records.append(record)
         self._leaves = np.arange(len(self._leaves), dtype=np.int32)

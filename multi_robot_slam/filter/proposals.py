@@ -34,7 +34,9 @@ def propose_by_motion(
     """Draw the poses from the motion model (7), then match and update as seen from them."""
     for frame in frames:
         poses = state.poses[frame.robot]
-        sigma = motion.standard_deviations(frame.motion, frame.seconds, settings.motion)
+        sigma = motion.standard_deviations(
+            frame.motion, frame.seconds, settings.motion, frame.extra
+        )
         noise = sigma[:, None] * rng.standard_normal(poses.shape)
         motion.move(poses, scaled(frame.motion, state.scales.factors[frame.robot])[:, None] + noise)
         require_finite(poses)
@@ -76,7 +78,8 @@ def propose_informed(
     for frame, prior in zip(frames, priors, strict=True):
         poses = state.poses[frame.robot]
         motion.move(poses, scaled(frame.motion, state.scales.factors[frame.robot])[:, None])
-        spread = motion.spread(frame.motion, frame.seconds, settings.motion).astype(prior.dtype)
+        spread = motion.spread(frame.motion, frame.seconds, settings.motion, frame.extra)
+        spread = spread.astype(prior.dtype)
         informed_kernels.spread_in_map(as_seen(poses, prior.dtype), spread, prior)
         require_finite(poses)
     joint, sighted = _see_all(frames, state.poses, priors, settings.sighting_gate)

@@ -1,12 +1,13 @@
 """What one robot did and saw at one instant, as the filter remembers it."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from msg_defs.types import CameraMount, ObservationSet, Sightings
 from multi_robot_slam.models import stereo
+from multi_robot_slam.models.motion import NO_EXTRA
 from multi_robot_slam.models.ranging import Ranging
 
 
@@ -48,6 +49,8 @@ class RobotFrame:
     """Robots it sees, each of which has a frame at the same instant."""
     ranging: Ranging | None = None
     """None: the covariances are what they are, at whatever distance a point truly is."""
+    extra: np.ndarray = field(default_factory=lambda: NO_EXTRA)
+    """(3,) float64: standard deviations of what gaps in the odometry hide [m, m, rad]."""
 
     @classmethod
     def from_camera(
@@ -58,6 +61,7 @@ class RobotFrame:
         observations: ObservationSet,
         mount: CameraMount,
         sightings: Sightings | None = None,
+        extra: np.ndarray = NO_EXTRA,
     ) -> "RobotFrame":
         """The frame of what a camera at `mount` saw, after `motion` (3,) that took `seconds`."""
         return cls(
@@ -69,6 +73,7 @@ class RobotFrame:
             seconds,
             in_body(sightings, mount),
             Ranging.of(observations.positions, observations.covariances, mount),
+            extra,
         )
 
 
@@ -106,6 +111,8 @@ class Record:
     """How long the motion took [s]."""
     sightings: BodySightings = NOBODY
     ranging: Ranging | None = None
+    extra: np.ndarray = field(default_factory=lambda: NO_EXTRA)
+    """(3,) float64: as of the frame."""
 
     def with_rows(self, poses: np.ndarray, matches: np.ndarray, parents: np.ndarray) -> "Record":
         """The same frame with other rows: `poses` (3, R), `matches` (B, R), `parents` (R,)."""

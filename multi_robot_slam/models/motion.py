@@ -46,6 +46,10 @@ class MotionSettings:
     ] = 0.0
 
 
+NO_EXTRA = np.zeros(3)
+"""What a motion hides whose whole way was heard: nothing."""
+
+
 def increment(previous: np.ndarray, current: np.ndarray) -> np.ndarray:
     """Motion u between two poses of one frame, seen from the first.
 
@@ -57,12 +61,18 @@ def increment(previous: np.ndarray, current: np.ndarray) -> np.ndarray:
 
 
 def standard_deviations(
-    motion: np.ndarray, seconds: float | np.ndarray, noise: MotionSettings
+    motion: np.ndarray,
+    seconds: float | np.ndarray,
+    noise: MotionSettings,
+    extra: np.ndarray = NO_EXTRA,
 ) -> np.ndarray:
-    """Standard deviations (3, ...) of `motion` (3, ...) that took `seconds`, in its own units."""
+    """Standard deviations (3, ...) of `motion` (3, ...) that took `seconds`, in its own units.
+
+    Those of (7), and in quadrature the `extra` (3, ...) of what gaps in the odometry hide.
+    """
     root = np.sqrt(np.hypot(motion[0], motion[1]))
     turn, time = np.sqrt(abs(motion[2])), np.sqrt(seconds)
-    return np.array(
+    told = np.array(
         [
             np.hypot(noise.forward_per_sqrt_m * root, noise.forward_per_sqrt_s * time),
             np.hypot(noise.left_per_sqrt_m * root, noise.left_per_sqrt_s * time),
@@ -72,14 +82,17 @@ def standard_deviations(
             ),
         ]
     )
+    return np.hypot(told, extra)
 
 
-def spread(motion: np.ndarray, seconds: float, noise: MotionSettings) -> np.ndarray:
+def spread(
+    motion: np.ndarray, seconds: float, noise: MotionSettings, extra: np.ndarray = NO_EXTRA
+) -> np.ndarray:
     """Covariance xx xy yy of the position and variance of the yaw after `motion`: (4,).
 
     Seen from the pose that `motion` (3,) leads to; the noise itself acts in the pose before.
     """
-    forward, left, yaw = np.square(standard_deviations(motion, seconds, noise))
+    forward, left, yaw = np.square(standard_deviations(motion, seconds, noise, extra))
     cos, sin = np.cos(motion[2]), np.sin(motion[2])
     return np.array(
         [
@@ -97,17 +110,18 @@ def predicted(
     motion: np.ndarray,
     seconds: float,
     noise: MotionSettings,
+    extra: np.ndarray = NO_EXTRA,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Pose (3,) and covariance (3, 3) after `motion` (3,) that took `seconds`: (7), to first order.
 
-    `motion` is seen from `pose`, in which its noise acts; `pose` has the `covariance`.
+    `motion` is seen from `pose`, in which its noise and `extra` act; `pose` has the `covariance`.
     """
     (x, y, yaw), (forward, left, turn) = pose.tolist(), motion.tolist()
     cos, sin = math.cos(yaw), math.sin(yaw)
     dx, dy = cos * forward - sin * left, sin * forward + cos * left
     by_pose = np.array([[1.0, 0.0, -dy], [0.0, 1.0, dx], [0.0, 0.0, 1.0]])
     by_noise = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    by_noise *= standard_deviations(motion, seconds, noise)
+    by_noise *= standard_deviations(motion, seconds, noise, extra)
     grown = by_pose @ covariance @ by_pose.T + by_noise @ by_noise.T
     return np.array([x + dx, y + dy, wrap(yaw + turn)]), grown
 

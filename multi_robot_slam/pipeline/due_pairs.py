@@ -36,7 +36,9 @@ class DuePairs:
         self._begin()
 
     def _begin(self) -> None:
-        self._odometry = Odometry(self._config.plausible, lambda sample, refusal: None)
+        self._odometry = Odometry(
+            self._config.plausible, self._config.filter.motion, lambda sample, refusal: None
+        )
         self._keyframes = Keyframes(self._config.keyframe)
         self._undecided: deque[Pair] = deque()
         self._unplaced: deque[int] = deque(maxlen=MOST_UNPLACED)

@@ -8,11 +8,16 @@ import numpy as np
 
 from msg_defs.types import PoseSample
 from multi_robot_slam.config import Plausible
-from multi_robot_slam.models.motion import increment, move, wrap
+from multi_robot_slam.models.motion import NO_EXTRA, MotionSettings, increment, move, wrap
+from multi_robot_slam.pipeline.gaps import STILL, Gap, Instant, Rates
+from multi_robot_slam.pipeline.intervals import Intervals
 from multi_robot_slam.pipeline.plausibility import Refusal
 
 MOST_SAMPLES = 20_000
 """Kept for frames to come: minutes at any usual rate."""
+
+MOST_GAPS = 32
+"""Known one by one between two frames; of more the oldest are taken for a longer one."""
 
 SAMPLES_OF_A_RESET = 3
 """Samples that agree with each other, and not with those before, are odometry that was reset."""
@@ -34,10 +39,22 @@ class _Sample(NamedTuple):
     """(3,) in the frame of the first sample: resets leave no jump."""
     origin: np.ndarray | None
     """(3,) pose of the robot's own frame `odom` in that frame; None until the first reset."""
+    rates: Rates
+    """How fast the robot was up to here."""
 
     def in_odom(self, pose: np.ndarray) -> np.ndarray:
         """A `pose` (3,) of the frame of the first sample in the robot's own."""
         return pose if self.origin is None else increment(self.origin, pose)
+
+
+class Motion(NamedTuple):
+    """How a robot moved between two instants."""
+
+    motion: np.ndarray
+    """(3,): u in the `base_link` of the first [m, m, rad]."""
+    seconds: float
+    extra: np.ndarray
+    """(3,): standard deviations of what gaps hide [m, m, rad]."""
 
 
 class Odometry:
@@ -45,25 +62,33 @@ class Odometry:
 
     A sample that is further from the last than any robot moves is doubted. If the next samples stay
     there, the odometry was reset: the robot goes on from where it was. Otherwise it is dropped. A
-    sample that an older one follows was stamped ahead: it is taken back.
+    sample that an older one follows was stamped ahead: it is taken back. Where successive samples
+    are further apart than usual, there is a gap, and a motion across it knows less.
 
     Parameters
     ----------
     limits : how fast a robot can be.
+    noise : of the wheels, as (7) has it.
     tell : called with each sample that is dropped, or where the odometry was reset, and why.
 
     """
 
-    def __init__(self, limits: Plausible, tell: Callable[[PoseSample, Refusal], None]) -> None:
+    def __init__(
+        self, limits: Plausible, noise: MotionSettings, tell: Callable[[PoseSample, Refusal], None]
+    ) -> None:
         self._limits = limits
+        self._noise = noise
         self._tell = tell
         self._samples: deque[_Sample] = deque()
         self._last: PoseSample | None = None
         self._before_last: PoseSample | None = None
         self._doubted: list[PoseSample] = []
         self._origin: np.ndarray | None = None
-        self._used: tuple[int, np.ndarray] | None = None
-        self._reached = 0, np.zeros(3)
+        self._intervals = Intervals()
+        self._gaps: list[Gap] = []
+        """Those after the frame that was used last."""
+        self._used: Instant | None = None
+        self._reached = Instant(0, np.zeros(3))
         self._pose_in_odom = np.zeros(3)
         self._reached_in_odom = np.zeros(3)
 
@@ -130,42 +155,50 @@ class Odometry:
         difference[2] = wrap(difference[2])
         return first.pose + share * difference
 
-    def motion_to(self, stamp_ns: int) -> tuple[np.ndarray, float]:
-        """Motion (3,) since the frame that was used last, and how long it took [s].
+    def motion_to(self, stamp_ns: int) -> Motion:
+        """Motion since the frame that was used last.
 
         The first frame asked for is where the robot starts, whether or not it can be used. See
         `at` for `stamp_ns`.
         """
         pose = self.at(stamp_ns)
-        self._reached = stamp_ns, pose
+        self._reached = Instant(stamp_ns, pose)
         self._reached_in_odom = self._samples[0].in_odom(pose)
         if self._used is None:
             self.use()
-            return np.zeros(3), 0.0
-        used_ns, used_pose = self._used
-        return increment(used_pose, pose), (stamp_ns - used_ns) / 1e9
+        return self._motion(self._reached)
 
-    def motion_to_newest(self) -> tuple[np.ndarray, float]:
-        """Motion (3,) from the frame that was used last to the newest sample, and how long [s].
+    def motion_to_newest(self) -> Motion:
+        """Motion from the frame that was used last to the newest sample.
 
         There must have been such a frame; the time is negative where the sample is older.
         """
-        if self._used is None:
-            raise ValueError("no frame was used yet")
-        used_ns, used_pose = self._used
         newest = self._samples[-1]
-        return increment(used_pose, newest.pose), (newest.stamp_ns - used_ns) / 1e9
+        return self._motion(Instant(newest.stamp_ns, newest.pose))
 
     def use(self) -> None:
         """The motion asked for last was used: the next one begins where it ended."""
-        self._used = self._reached
+        self._used = used = self._reached
+        self._gaps = [gap for gap in self._gaps if gap.end.stamp_ns > used.stamp_ns]
         self._pose_in_odom = self._reached_in_odom
+
+    def _motion(self, end: Instant) -> Motion:
+        begin = self._used
+        if begin is None:
+            raise ValueError("no frame was used yet")
+        hidden = [gap.hidden(begin, end, self._noise) for gap in self._gaps]
+        extra = np.sqrt(np.sum(hidden, axis=0)) if hidden else NO_EXTRA
+        seconds = (end.stamp_ns - begin.stamp_ns) / 1e9
+        return Motion(increment(begin.pose, end.pose), seconds, extra)
 
     def _take_back(self) -> None:
         """Drop the last sample."""
         if self._last is not None:
             self._tell(self._last, AHEAD)
-        self._samples.pop()
+        taken = self._samples.pop()
+        self._intervals.take_back()
+        if self._gaps and self._gaps[-1].end.stamp_ns == taken.stamp_ns:
+            self._gaps.pop()
         self._last, self._before_last = self._before_last, None
 
     def _is_possible(self, before: PoseSample, after: PoseSample) -> bool:
@@ -174,22 +207,39 @@ class Odometry:
         is_slow = np.hypot(dx, dy) <= self._limits.fastest_m_s * seconds
         return bool(is_slow and np.abs(wrap(turn)) <= self._limits.fastest_rad_s * seconds)
 
-    def _keep(self, sample: PoseSample) -> None:
+    def _keep(self, sample: PoseSample, is_reset: bool = False) -> None:
         pose = sample.pose
         if self._origin is not None:
             pose = _composed(self._origin, pose)
-        self._samples.append(_Sample(sample.stamp_ns, pose, self._origin))
+        rates = self._rates_until(Instant(sample.stamp_ns, pose), is_reset)
+        self._samples.append(_Sample(sample.stamp_ns, pose, self._origin, rates))
         self._before_last, self._last = self._last, sample
         if len(self._samples) > MOST_SAMPLES:
             self._samples.popleft()
             self._tell(sample, NOT_KEPT)
+
+    def _rates_until(self, now: Instant, is_reset: bool) -> Rates:
+        """How fast the robot was; across a gap, which is noted, nobody knows."""
+        if not self._samples:
+            return STILL
+        before = self._samples[-1]
+        interval_ns = now.stamp_ns - before.stamp_ns
+        is_gap = is_reset or interval_ns > self._intervals.longest_ns
+        self._intervals.add(interval_ns)
+        if is_gap:
+            start = Instant(before.stamp_ns, before.pose)
+            self._gaps.append(Gap(start, now, before.rates, is_reset))
+            if len(self._gaps) > MOST_GAPS:
+                self._gaps[:2] = [self._gaps[0].with_next(self._gaps[1])]
+            return before.rates
+        return before.rates.also(increment(before.pose, now.pose), interval_ns / 1e9)
 
     def _reset(self) -> None:
         first = self._doubted[0]
         self._tell(first, RESET)
         self._origin = _composed(self._samples[-1].pose, increment(first.pose, np.zeros(3)))
         for sample in self._doubted:
-            self._keep(sample)
+            self._keep(sample, is_reset=sample is first)
         self._doubted.clear()
 
 

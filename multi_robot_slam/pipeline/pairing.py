@@ -34,7 +34,7 @@ class RobotInputs:
         """Stamp of the newest frame heard of, used or not [ns]."""
         self.sightings_ns = -1
         self.frames = FrameCount(0, 0)
-        self.odometry = Odometry(config.plausible, drop)
+        self.odometry = Odometry(config.plausible, config.filter.motion, drop)
         self._drop = drop
         self._mount = config.mount_of(index)
         self._correlated = np.float32(config.filter.correlated)
@@ -89,11 +89,13 @@ class RobotInputs:
 
         Without `observations` it is an empty one. Odometry must have reached `stamp_ns`.
         """
-        motion, seconds = self.odometry.motion_to(stamp_ns)
+        moved = self.odometry.motion_to(stamp_ns)
         seen = _nothing(self.name, stamp_ns) if observations is None else observations
         if self._correlated != 1:
             seen = replace(seen, covariances=self._correlated * seen.covariances)
-        return RobotFrame.from_camera(self.index, motion, seconds, seen, self._mount, sightings)
+        return RobotFrame.from_camera(
+            self.index, moved.motion, moved.seconds, seen, self._mount, sightings, moved.extra
+        )
 
     def count(self, seen: int = 0, used: int = 0) -> None:
         """Frames that were seen or used, besides those counted before."""

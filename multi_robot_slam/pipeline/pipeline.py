@@ -104,9 +104,9 @@ class Pipeline:
     def predict(self, event: Event) -> Estimate | None:
         """Where the odometry that was handled last has taken its robot since its last step.
 
-        The estimate of that step, moved along, its covariance grown by (7). None for other events,
-        for a sample that was not taken or is not newer than the step, and where every frame is a
-        step (`Keyframe`).
+        The estimate of that step, moved along, its covariance grown by (7) and by what gaps hide.
+        None for other events, for a sample that was not taken or is not newer than the step, and
+        where every frame is a step (`Keyframe`).
         """
         before = self._estimates.get(event.robot)
         if before is None or not isinstance(event, PoseSample) or not self.config.keyframe.is_on:
@@ -115,10 +115,10 @@ class Pipeline:
         odometry = self._reorder.robots[robot].odometry
         if event is not odometry.newest or event.stamp_ns <= before.stamp_ns:
             return None
-        moved, seconds = odometry.motion_to_newest()
+        moved, seconds, extra = odometry.motion_to_newest()
         moved = scaled(moved, self._particles.state.scales.factors[robot])
         noise = self.config.filter.motion
-        where = motion.predicted(before.pose, before.covariance, moved, seconds, noise)
+        where = motion.predicted(before.pose, before.covariance, moved, seconds, noise, extra)
         return Estimate(event.robot, event.stamp_ns, *where)
 
     def frames(self) -> dict[str, FrameCount]:

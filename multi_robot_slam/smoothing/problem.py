@@ -142,7 +142,8 @@ def problem_of(
     anchors = np.arange(len(prior.poses))
     motions = np.array([record.motion for record in records], float).reshape(-1, 3)
     seconds = np.array([record.seconds for record in records])
-    sigmas = standard_deviations(motions.T, seconds, noise).T
+    extra = np.array([record.extra for record in records]).reshape(-1, 3)
+    sigmas = standard_deviations(motions.T, seconds, noise, extra.T).T
     if factors is not None:
         motions = motions * factors[robots][:, [0, 0, 1]]
     named = np.concatenate([np.empty(0, np.int64), *identities]).astype(np.int64)

@@ -51,7 +51,7 @@ def update_particles(
 
     """
     covariances = unpack(frame.covariances)
-    sigma = motion.standard_deviations(frame.motion, frame.seconds, settings.motion)
+    sigma = motion.standard_deviations(frame.motion, frame.seconds, settings.motion, frame.extra)
     matches = []
     for particle, normal in zip(particles, normals.T, strict=True):
         pose = predict(particle.poses[frame.robot], frame.motion + sigma * normal)

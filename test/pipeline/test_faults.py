@@ -15,6 +15,7 @@ from msg_defs.types import ObservationSet, PoseSample
 from multi_robot_slam.config import SECTION, Config, Plausible
 from multi_robot_slam.filter import rbpf
 from multi_robot_slam.filter.settings import FilterSettings, RejuvenationSettings
+from multi_robot_slam.models.motion import MotionSettings
 from multi_robot_slam.pipeline import offline, plausibility
 from multi_robot_slam.pipeline.odometry import MOST_SAMPLES, Odometry
 from multi_robot_slam.pipeline.pipeline import FAILED_STEP, Pipeline
@@ -431,7 +432,9 @@ def test_a_robot_whose_clock_stands_still_far_ahead_fills_no_memory():
 def drive(poses, period_s=0.1):
     """What an `Odometry` makes of these poses: the motions to each that is reached, and reasons."""
     told, motions = [], []
-    odometry = Odometry(Plausible(), lambda sample, refusal: told.append(refusal.reason))
+    odometry = Odometry(
+        Plausible(), MotionSettings(), lambda sample, refusal: told.append(refusal.reason)
+    )
     for i, pose in enumerate(poses):
         stamp = int((i + 1) * period_s * SECOND)
         odometry.take(PoseSample("a", stamp, np.array(pose, float)))
@@ -468,7 +471,9 @@ def test_wild_samples_never_become_motion(where, off, count):
 
 def test_odometry_that_no_frame_uses_is_bounded_counted_and_told():
     told = []
-    odometry = Odometry(Plausible(), lambda sample, refusal: told.append(refusal.reason))
+    odometry = Odometry(
+        Plausible(), MotionSettings(), lambda sample, refusal: told.append(refusal.reason)
+    )
     for i in range(MOST_SAMPLES + 7):
         odometry.take(PoseSample("a", i, np.zeros(3)))
     assert told == ["odometry not kept"] * 7
@@ -592,7 +597,9 @@ def test_an_odometry_stamp_ahead_costs_that_sample(ahead_s):
 def test_what_a_robot_drives_is_not_lost_with_a_sample_stamped_ahead(ahead_s):
     """The frame between has a wrong share of the way; the next one makes up for it."""
     told, total = [], np.zeros(3)
-    odometry = Odometry(Plausible(), lambda sample, refusal: told.append(refusal.reason))
+    odometry = Odometry(
+        Plausible(), MotionSettings(), lambda sample, refusal: told.append(refusal.reason)
+    )
     for step in range(12):
         stamp_ns = SECOND + step * SECOND // 2
         ahead_ns = int(ahead_s * SECOND) * (step == 5)
