@@ -15,7 +15,7 @@ Stamps are integer nanoseconds.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Annotated, Any, NamedTuple, TypeVar, dataclass_transform
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar, dataclass_transform
 
 import numpy as np
 from annotated_types import Gt
@@ -266,6 +266,24 @@ class Estimate:
     """
 
 
+Level = Literal["consistent", "noisier than told", "start wrong", "lost"]
+"""How what a robot sends agrees with what the filter assumes, the best first."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether what one robot sends agrees with what the filter assumes of it, and what to do."""
+
+    robot: str
+    level: Level
+    cause: str = ""
+    """What it is judged by, in one sentence; empty where there is nothing to say."""
+    remedy: str = ""
+    """What to change; empty where nothing is wrong."""
+    numbers: dict[str, float] = field(default_factory=dict)
+    """What the level was found from, by name and unit."""
+
+
 @dataclass(frozen=True, eq=False)
 class StepRecord:
     """One step of the filter, for whoever watches it."""
@@ -281,6 +299,8 @@ class StepRecord:
     duration_ms: float
     rejuvenated: float | None = None
     """Effective sample size of the importance weights where the paths were drawn anew, 1 .. M."""
+    verdicts: tuple[Verdict, ...] = ()
+    """One for each robot that had a frame in this step, in the same order; or none was recorded."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -50,6 +50,7 @@ from msg_defs.wire.poses import (
 )
 from msg_defs.wire.records import (
     ERROR,
+    LEVELS,
     OK,
     STALE,
     WARN,
@@ -60,12 +61,14 @@ from msg_defs.wire.records import (
     encode_diagnostics,
     encode_step,
     encode_text,
+    verdict_values,
 )
 from msg_defs.wire.replayed import encode_clock, renamed
 
 __all__ = [
     "ENCODINGS",
     "ERROR",
+    "LEVELS",
     "OK",
     "STALE",
     "WARN",
@@ -114,4 +117,5 @@ __all__ = [
     "packed_image",
     "peek_stamp",
     "renamed",
+    "verdict_values",
 ]

@@ -1,12 +1,12 @@
 """Words and numbers: text, diagnostics, and the filter's step records."""
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 
 from msg_defs.errors import InputError
-from msg_defs.types import FrameRecord, StepRecord
+from msg_defs.types import FrameRecord, Level, StepRecord, Verdict
 from msg_defs.wire.cdr import Writer
 from msg_defs.wire.messages import (
     DiagnosticArray,
@@ -67,7 +67,7 @@ def _status(status: Any, what: str) -> Status:
 
 
 def encode_step(record: StepRecord) -> bytes:
-    """DiagnosticArray: one entry for the step, then one for each robot's frame.
+    """DiagnosticArray: one entry for the step, then one for each robot's frame, with its verdict.
 
     Numbers are written with as many digits as bring back every bit. Estimates are not part of it:
     they are published on each robot's `pose`.
@@ -80,7 +80,9 @@ def encode_step(record: StepRecord) -> bytes:
         "rejuvenated": "" if record.rejuvenated is None else repr(float(record.rejuvenated)),
     }
     step = Status("fusion: step", values, message=f"step {record.step}")
-    return encode_diagnostics(record.stamp_ns, [step, *map(_frame_status, record.frames)])
+    verdicts = {verdict.robot: verdict for verdict in record.verdicts}
+    robots = [_judged(_frame_status(frame), verdicts.get(frame.robot)) for frame in record.frames]
+    return encode_diagnostics(record.stamp_ns, [step, *robots])
 
 
 def decode_step(data: bytes) -> StepRecord:
@@ -98,10 +100,55 @@ def decode_step(data: bytes) -> StepRecord:
         resampled=_number(values, "resampled", _flag),
         duration_ms=_number(values, "duration_ms", float),
         rejuvenated=_number(values, "rejuvenated", float) if values.get("rejuvenated") else None,
+        verdicts=tuple(_verdict(status) for status in statuses[1:] if _LEVEL in status.values),
     )
 
 
 _STEP = "filter step"
+
+LEVELS: dict[Level, int] = {
+    "consistent": OK,
+    "noisier than told": WARN,
+    "start wrong": ERROR,
+    "lost": ERROR,
+}
+"""Level of the `Status` of a robot with this verdict; the best first."""
+
+_LEVEL, _CAUSE, _REMEDY, _FOUND = "level", "cause", "remedy", "found: "
+"""Keys of a verdict's values; the last is the prefix of its numbers' names."""
+
+
+def verdict_values(verdict: Verdict) -> dict[str, str]:
+    """The values of a `Status` that hold a verdict."""
+    numbers = {f"{_FOUND}{name}": repr(float(x)) for name, x in verdict.numbers.items()}
+    return {_LEVEL: verdict.level, _CAUSE: verdict.cause, _REMEDY: verdict.remedy, **numbers}
+
+
+def _judged(status: Status, verdict: Verdict | None) -> Status:
+    if verdict is None:
+        return status
+    return status._replace(
+        values={**status.values, **verdict_values(verdict)},
+        level=LEVELS[verdict.level],
+        message=verdict.level,
+    )
+
+
+def _verdict(status: Status) -> Verdict:
+    level = _text(status.values, _LEVEL)
+    if level not in LEVELS:
+        raise InputError(
+            f"{_STEP}: level = {level!r}; it must be one of {', '.join(get_args(Level))}"
+        )
+    names = [key for key in status.values if key.startswith(_FOUND)]
+    return Verdict(
+        status.hardware_id,
+        level,
+        _text(status.values, _CAUSE),
+        _text(status.values, _REMEDY),
+        {name.removeprefix(_FOUND): _number(status.values, name, float) for name in names},
+    )
+
 
 _FRAME_LISTS = {
     "landmarks": np.int64,

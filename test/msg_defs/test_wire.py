@@ -27,6 +27,7 @@ from msg_defs.types import (
     Sightings,
     StepRecord,
     Trajectory,
+    Verdict,
     Walls,
 )
 from msg_defs.wire import cdr, clouds, messages
@@ -114,7 +115,11 @@ def frame_record(robot=ROBOT, count=3):
 
 def step_record():
     frames = (frame_record("robot_1", 0), frame_record())
-    return StepRecord(STAMP, 7, frames, (), 0.1 + 0.2, True, 1 / 3)
+    verdicts = (
+        Verdict("robot_1", "consistent"),
+        Verdict(ROBOT, "start wrong", "off by 0.3 m", "measure it", {"offset [m]": 0.1 + 0.2}),
+    )
+    return StepRecord(STAMP, 7, frames, (), 0.1 + 0.2, True, 1 / 3, verdicts=verdicts)
 
 
 def encode_odometry(sample):
@@ -288,19 +293,41 @@ class TestRoundTrip:
             other_mahalanobis=data.draw(hnp.arrays(np.float32, 2)),
             is_other_rejected=data.draw(hnp.arrays(bool, 2)),
         )
-        written = StepRecord(STAMP, 3, (frame, frame_record()), (), effective, resampled, duration)
+        numbers = data.draw(st.dictionaries(st.sampled_from(["a [m]", "found: b"]), finite))
+        level = data.draw(st.sampled_from(list(wire.LEVELS)))
+        verdict = Verdict(ROBOT, level, "cause: ü", "", numbers)
+        written = StepRecord(
+            *(STAMP, 3, (frame, frame_record("robot_1")), (), effective, resampled, duration),
+            verdicts=(verdict,),
+        )
         read = wire.decode_step(wire.encode_step(written))
         assert_identical(read, written)
 
-    def test_step_of_an_older_bag_has_no_sightings_and_no_rejuvenation(self):
+    def test_a_level_that_is_none_is_refused(self):
+        def invented(message):
+            for pair in message.status[1].values:
+                pair.value = "fine" if pair.key == "level" else pair.value
+
+        data = changed(wire.encode_step(step_record()), topics.STEPS.type, invented)
+        with pytest.raises(InputError, match="level = 'fine'; it must be one of consistent, "):
+            wire.decode_step(data)
+
+    def test_a_verdict_is_the_level_of_its_robots_status(self):
+        _, statuses = wire.decode_diagnostics(wire.encode_step(step_record()))
+        assert [status.level for status in statuses] == [wire.OK, wire.OK, wire.ERROR]
+        assert statuses[2].message == "start wrong"
+
+    def test_step_of_an_older_bag_has_no_sightings_no_rejuvenation_and_no_verdicts(self):
         def without_them(message):
             later = {"others", "other_mahalanobis", "is_other_rejected", "sighted", "rejuvenated"}
+            later |= {"level", "cause", "remedy"}
             for status in message.status:
                 status.values = [pair for pair in status.values if pair.key not in later]
 
         written = replace(step_record(), rejuvenated=0.5)
         read = wire.decode_step(changed(wire.encode_step(written), topics.STEPS.type, without_them))
         assert read.rejuvenated is None
+        assert not read.verdicts
         assert [len(frame.others) for frame in read.frames] == [0, 0]
         for ours, theirs in zip(read.frames, written.frames, strict=True):
             assert_identical(ours.landmarks, theirs.landmarks)
