@@ -17,10 +17,15 @@ from msg_defs.types import (
 )
 from multi_robot_slam.config import Config
 from multi_robot_slam.models.frames import RobotFrame
+from multi_robot_slam.pipeline.losses import Losses, Missing
 from multi_robot_slam.pipeline.odometry import Odometry
 from multi_robot_slam.pipeline.plausibility import Refusal
 
 NO_FRAME = Refusal("sighting without a frame", "send a cloud with the sightings, even an empty one")
+
+
+ODOMETRY, FRAMES = "lost odometry", "lost frames"
+"""What never arrived, as it is counted."""
 
 
 class RobotInputs:
@@ -35,11 +40,28 @@ class RobotInputs:
         self.sightings_ns = -1
         self.frames = FrameCount(0, 0)
         self.odometry = Odometry(config.plausible, config.filter.motion, drop)
+        self.losses = {kind: Losses(config.apart_ns) for kind in (ODOMETRY, FRAMES)}
         self._drop = drop
         self._mount = config.mount_of(index)
         self._correlated = np.float32(config.filter.correlated)
         self._sends_sightings = config.sightings
         self._sightings: deque[Sightings] = deque()
+
+    def hear(self, event: Event) -> list[tuple[str, Missing]]:
+        """Note that an event arrived, whether or not it can be used; what is lost of its kind."""
+        kind = _kind(event)
+        if kind == FRAMES:
+            self.newest_ns = max(self.newest_ns, event.stamp_ns)
+        return [(kind, one) for one in self.losses[kind].hear(event.stamp_ns)] if kind else []
+
+    def excuse(self, event: Event) -> None:
+        """An event is not used because of its stamp: it will be missing where it belongs."""
+        if kind := _kind(event):
+            self.losses[kind].excuse()
+
+    def rest(self) -> list[tuple[str, Missing]]:
+        """Nothing more comes; what is lost."""
+        return [(kind, one) for kind, losses in self.losses.items() for one in losses.end()]
 
     def ready_ns(self, horizon_ns: int) -> int:
         """Stamp of the newest frame all of which has arrived, -1 when there is none [ns].
@@ -100,6 +122,13 @@ class RobotInputs:
     def count(self, seen: int = 0, used: int = 0) -> None:
         """Frames that were seen or used, besides those counted before."""
         self.frames = FrameCount(self.frames.seen + seen, self.frames.used + used)
+
+
+def _kind(event: Event) -> str:
+    """What is lost where such an event never arrives; empty: nothing that is counted."""
+    if isinstance(event, Sightings):
+        return ""
+    return ODOMETRY if isinstance(event, PoseSample) else FRAMES
 
 
 def only(sightings: Sightings | None, robots: Collection[int]) -> Sightings | None:

@@ -68,8 +68,8 @@ class Pipeline:
             np.random.default_rng(config.seed),
             keeps_frames,
         )
-        self._guard = TimeGuard(config.apart_ns, lambda event: self._drop(event, FAR_AHEAD))
-        self._reorder = Reorder(config, self._drop, self._opened)
+        self._guard = TimeGuard(config.apart_ns, self._drop_far_ahead)
+        self._reorder = Reorder(config, self._drop, self._opened, self.lose)
         self._estimates: dict[str, Estimate] = {}
         """Each robot's estimate of the last step it had a frame in."""
 
@@ -124,6 +124,13 @@ class Pipeline:
     def frames(self) -> dict[str, FrameCount]:
         """How many frames of each robot could be used, and how many became steps."""
         return {robot.name: robot.frames for robot in self._reorder.robots}
+
+    def lost(self) -> dict[str, dict[str, int]]:
+        """How many messages of each robot never arrived, by kind."""
+        return {
+            robot.name: {kind: losses.total for kind, losses in robot.losses.items()}
+            for robot in self._reorder.robots
+        }
 
     def close(self) -> None:
         """Let go of the thread beside the filter; nothing can be handled after."""
@@ -227,6 +234,10 @@ class Pipeline:
                 count - most,
             )
         return result
+
+    def _drop_far_ahead(self, event: Event) -> None:
+        self._reorder.excuse(event)
+        self._drop(event, FAR_AHEAD)
 
     def _drop(self, event: Event, refusal: Refusal) -> None:
         where = f"{event.robot} at {_time(event.stamp_ns)}"

@@ -16,11 +16,13 @@ from msg_defs.types import Event, Frame, ObservationSet, PoseSample, Sightings
 from multi_robot_slam.config import Config
 from multi_robot_slam.models.frames import RobotFrame
 from multi_robot_slam.pipeline.keyframes import Keyframes
+from multi_robot_slam.pipeline.losses import Missing
 from multi_robot_slam.pipeline.pairing import NO_FRAME, RobotInputs, only
 from multi_robot_slam.pipeline.plausibility import Refusal
 
 LATE_REMEDY = "raise reorder_window_s, or synchronise the robots' clocks"
 NO_ODOMETRY = Refusal("frame without odometry", "send odometry with every frame")
+LOST_REMEDY = "they never arrived: look at the network, the queues, and who records"
 LATE_FRAME = Refusal("late frame", LATE_REMEDY)
 UNPLACED = "sighting of a robot without odometry"
 
@@ -32,6 +34,7 @@ class Reorder:
     ----------
     drop : called with each event that cannot be used, and why.
     open_frame : decodes and checks a frame that is to be used; None, and dropped, if it cannot be.
+    lose : called with what never arrived: the reason, a line that tells of it, and how many.
 
     """
 
@@ -40,9 +43,11 @@ class Reorder:
         config: Config,
         drop: Callable[[Event, Refusal], None],
         open_frame: Callable[[Frame], ObservationSet | None],
+        lose: Callable[[str, str, int], None],
     ) -> None:
         self._drop = drop
         self._open = open_frame
+        self._lose = lose
         self._keyframes = Keyframes(config.keyframe)
         self._with_cloud: set[int] = set()
         """Of the frames given out last, the robots whose frame is a cloud."""
@@ -62,8 +67,11 @@ class Reorder:
         if self._first_ns is None:
             self._first_ns = event.stamp_ns
         robot = self._by_name[event.robot]
-        if isinstance(event, Frame):
-            robot.newest_ns = max(robot.newest_ns, event.stamp_ns)
+        self._tell_of_losses(robot, robot.hear(event))
+
+    def excuse(self, event: Event) -> None:
+        """An event is not even heard of, because of its stamp."""
+        self._by_name[event.robot].excuse(event)
 
     def take(self, event: Event) -> None:
         """Keep an event of a robot of the team, or drop what comes too late."""
@@ -84,6 +92,7 @@ class Reorder:
         yield from self._until(self._newest_ns())
         for robot in self.robots:
             robot.odometry.drop_doubted()
+            self._tell_of_losses(robot, robot.rest())
             while robot.waiting:
                 self._drop(robot.waiting.popleft(), NO_ODOMETRY)
 
@@ -201,6 +210,11 @@ class Reorder:
             for index in robots
             if self.robots[index].odometry.newest_ns >= stamp_ns
         }
+
+    def _tell_of_losses(self, robot: RobotInputs, lost: Iterable[tuple[str, Missing]]) -> None:
+        for kind, (after_ns, until_ns, count) in lost:
+            between = f"between {after_ns / 1e9:.3f} s and {until_ns / 1e9:.3f} s"
+            self._lose(kind, f"{kind} of {robot.name}: {count} {between}; {LOST_REMEDY}", count)
 
     def _tell_of_unplaced(self, sightings: Sightings) -> None:
         """Count and tell of sightings of robots whose place is unknown."""

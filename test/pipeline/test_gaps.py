@@ -1,0 +1,254 @@
+"""What a gap in the odometry hides: against slow formulas, and against ways driven at random."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from msg_defs.types import PoseSample
+from multi_robot_slam.config import Plausible
+from multi_robot_slam.models.motion import (
+    NO_EXTRA,
+    MotionSettings,
+    increment,
+    move,
+    standard_deviations,
+)
+from multi_robot_slam.pipeline.gaps import STILL, Gap, Instant, Rates
+from multi_robot_slam.pipeline.odometry import MOST_GAPS, RESET, Odometry
+
+SECOND = 10**9
+NOISE = MotionSettings(0.03, 0.01, 0.02, 0.05, yaw_per_sqrt_s=0.01)
+NONE = MotionSettings(0.0, 0.0, 0.0, 0.0)
+POSES = st.tuples(*[st.floats(-3, 3)] * 3).map(np.array)
+
+
+def rotation(angle):
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+
+
+def slow_hidden(gap, begin, end, noise):
+    """(G1) to (G6) in the map, with matrices, and a sum over the way."""
+    T = (gap.end.stamp_ns - gap.start.stamp_ns) / 1e9
+    s, t = ((np.clip(i.stamp_ns, gap.start.stamp_ns, gap.end.stamp_ns) - gap.start.stamp_ns) / 1e9
+            for i in (begin, end))  # fmt: skip
+    s, t = s / T, t / T
+    ahead, turn = increment(gap.start.pose, gap.end.pose)[[0, 2]]
+    chord = np.hypot(*(gap.end.pose - gap.start.pose)[:2])
+    own = np.array([chord if ahead >= 0 else -chord, turn]) / T
+    (mean_v, mean_w), (square_v, square_w) = gap.before.mean, gap.before.square
+    deviation_v = np.sqrt(max(square_v - 2 * mean_v * own[0] + own[0] ** 2, 0))
+    deviation_w = np.sqrt(max(square_w - 2 * mean_w * own[1] + own[1] ** 2, 0))
+    L, A = max(chord, np.sqrt(square_v) * T), max(abs(turn), np.sqrt(square_w) * T)
+    along, yaw = (np.sqrt(2) * d * T / 4 for d in (deviation_v, deviation_w))
+    across = L / 8 * np.sqrt(turn**2 + (deviation_w * T) ** 2)
+    bridge = 4 * (t - s) * (1 - (t - s))
+    dx, dy = (gap.end.pose - gap.start.pose)[:2]
+    R = rotation(np.arctan2(dy, dx))
+    total = bridge * R @ np.diag([along**2, across**2]) @ R.T
+    f, l = noise.forward_per_sqrt_m**2, noise.left_per_sqrt_m**2  # noqa: E741
+    leak = L * min(A * A / 3, 1)
+    R = rotation(gap.start.pose[2])
+    total += (t - s) * R @ np.diag([f * (L - chord) + l * leak, l * (L - chord) + f * leak]) @ R.T
+    turned = (
+        noise.yaw_per_sqrt_m**2 * L + noise.yaw_per_sqrt_rad**2 * A + noise.yaw_per_sqrt_s**2 * T
+    )
+    for share in s + (t - s) * (np.arange(2000) + 0.5) / 2000:
+        x, y = end.pose[:2] - (gap.start.pose + share * (gap.end.pose - gap.start.pose))[:2]
+        total += (t - s) * turned / 2000 * np.outer([-y, x], [-y, x])
+    x, y = (end.pose - begin.pose)[:2]
+    total += 4 * s * (1 - s) * yaw**2 * np.outer([-y, x], [-y, x])
+    R = rotation(begin.pose[2])
+    variances = np.diag(R.T @ total @ R)
+    more = noise.yaw_per_sqrt_m**2 * (L - chord) + noise.yaw_per_sqrt_rad**2 * (A - abs(turn))
+    return np.append(variances, bridge * yaw**2 + (t - s) * more)
+
+
+@given(
+    POSES, POSES, POSES, POSES, st.tuples(*[st.floats(0, 2)] * 4), st.tuples(*[st.floats(0, 9)] * 2)
+)
+def test_what_is_hidden_is_the_slow_formula_s(start, end, first, last, rates, stamps):
+    (mean_v, mean_w, more_v, more_w), (one, other) = rates, sorted(stamps)
+    mean = np.array([mean_v, mean_w])
+    before = Rates(mean, mean**2 + np.square([more_v, more_w]), 1.0)
+    gap = Gap(Instant(3 * SECOND, start), Instant(5 * SECOND, end), before)
+    instants = Instant(int(one * SECOND), first), Instant(int(other * SECOND) + 1, last)
+    expected = slow_hidden(gap, *instants, NOISE)
+    covers = min(instants[1].stamp_ns, 5 * SECOND) > max(instants[0].stamp_ns, 3 * SECOND)
+    np.testing.assert_allclose(
+        gap.hidden(*instants, NOISE), expected * covers, rtol=1e-5, atol=1e-9
+    )
+
+
+@given(st.lists(st.tuples(st.floats(-2, 2), st.floats(-1, 1), st.floats(0.01, 5)), min_size=1))
+def test_rates_are_means_over_time_that_fade(moved):
+    rates, weights, values = STILL, np.empty(0), np.empty((0, 2))
+    for distance, turn, seconds in moved:
+        rates = rates.also(np.array([distance, 0, turn]), seconds)
+        weights = np.append(weights * np.exp(-seconds / 30), seconds)
+        values = np.vstack([values, np.array([distance, turn]) / seconds])
+    weights /= weights.sum()
+    np.testing.assert_allclose(rates.mean, weights @ values, atol=1e-9)
+    np.testing.assert_allclose(rates.square, weights @ values**2, atol=1e-9)
+
+
+def odometry(noise=NONE, told=None):
+    tell = (lambda sample, refusal: None) if told is None else (lambda s, r: told.append(r))
+    return Odometry(Plausible(), noise, tell)
+
+
+def feed(taker, stamps_s, poses):
+    for second, pose in zip(stamps_s, poses, strict=True):
+        taker.take(PoseSample("a", round(second * SECOND), np.array(pose, float)))
+
+
+def driven(rng, seconds, each_s=0.01):
+    """A way with bends and stops: poses (T, 3) every 10 ms, speeds that change now and then."""
+    speeds, poses = np.zeros(2), [np.zeros(3)]
+    for _ in range(round(seconds / each_s)):
+        if rng.random() < each_s / 2.0:
+            speeds = np.array([rng.uniform(0, 1) * (rng.random() < 0.8), rng.normal(0, 0.4)])
+        pose = poses[-1][:, None].copy()
+        move(pose, np.array([[speeds[0] * each_s], [0.0], [speeds[1] * each_s]]))
+        poses.append(pose[:, 0])
+    return np.array(poses)
+
+
+@pytest.mark.parametrize("gap_s", [0.2, 1.0, 4.0])
+@pytest.mark.parametrize("share", [0.25, 0.5])
+def test_the_true_pose_within_a_gap_is_as_far_off_as_told(gap_s, share):
+    """Of 400 ways: two sigmas hold at least 90 % of the poses, and are no more than a bound."""
+    rng = np.random.default_rng(int(10 * gap_s + 100 * share))
+    ratios = []
+    for _ in range(400):
+        way = driven(rng, 20 + gap_s)
+        taker, stamps = odometry(), np.append(np.arange(0, 2001, 5), 2000 + round(100 * gap_s))
+        feed(taker, stamps[:401] / 100, way[stamps[:401]])
+        taker.motion_to(20 * SECOND)
+        taker.use()
+        feed(taker, stamps[401:] / 100, way[stamps[401:]])
+        at = 2000 + round(100 * gap_s * share)
+        moved = taker.motion_to(at * SECOND // 100)
+        true = increment(way[2000], way[at])
+        ratios.append(np.abs(true - moved.motion) / np.maximum(moved.extra, 1e-6))
+    within = np.mean(np.array(ratios) < 2, axis=0)
+    assert (within > 0.9).all(), within
+    assert (np.sqrt(np.mean(np.square(ratios), axis=0)) > 0.1).all()
+
+
+def test_at_the_samples_themselves_a_gap_hides_nothing_of_wheels_without_noise():
+    taker = odometry()
+    stamps = [*np.arange(0, 4, 0.1), 6.0, 6.1]
+    feed(taker, stamps, [(t, 0.1 * t, 0.05 * t) for t in stamps])
+    taker.motion_to(3 * SECOND)
+    moved = taker.motion_to(round(6.1 * SECOND))
+    np.testing.assert_allclose(moved.extra, 0, atol=1e-6)
+    assert (taker.motion_to(5 * SECOND).extra[:2] > 0.01).all()
+
+
+def test_noise_of_a_straight_way_in_one_go_is_that_of_its_small_steps():
+    """(7) and what the gap adds, against wheels that err in steps of a centimetre."""
+    rng = np.random.default_rng(0)
+    taker, stamps = odometry(NOISE), [*np.arange(0, 3, 0.1), 12.9]
+    feed(taker, stamps, [(t, 0, 0) for t in stamps])
+    taker.motion_to(round(2.9 * SECOND))
+    motion, seconds, extra = taker.motion_to(round(12.9 * SECOND))
+    told = standard_deviations(motion, seconds, NOISE, extra)
+    ends = np.zeros((3, 4000))
+    step = np.array([0.01, 0.0, 0.0])
+    sigma = standard_deviations(step, 0.01, NOISE)[:, None]
+    for _ in range(1000):
+        move(ends, step[:, None] + sigma * rng.standard_normal(ends.shape))
+    np.testing.assert_allclose(told, ends.std(axis=1), rtol=0.05)
+
+
+@pytest.mark.parametrize("bend", [0.1, 0.3])
+def test_noise_of_a_way_with_bends_is_no_less_than_told(bend):
+    """A robot that swings left and right at the same rates all the time, before and in the gap."""
+    rng = np.random.default_rng(1)
+    times = np.arange(0, 40, 0.1)
+    rates = bend * np.sign(np.sin(times))
+    poses = np.zeros((3, len(times)))
+    for k in range(1, len(times)):
+        poses[:, k] = poses[:, k - 1]
+        move(poses[:, k : k + 1], np.array([[0.05], [0.0], [0.1 * rates[k]]]))
+    taker = odometry(NOISE)
+    kept = np.r_[:200, 399]
+    feed(taker, times[kept], poses.T[kept])
+    taker.motion_to(round(times[199] * SECOND))
+    motion, seconds, extra = taker.motion_to(round(times[399] * SECOND))
+    told = standard_deviations(motion, seconds, NOISE, extra)
+    ends = np.tile(poses[:, 199:200], 2000)
+    for k in range(200, 400):
+        step = np.array([0.05, 0.0, 0.1 * rates[k]])
+        sigma = standard_deviations(step, 0.1, NOISE)[:, None]
+        move(ends, step[:, None] + sigma * rng.standard_normal(ends.shape))
+    true = np.array([increment(poses[:, 199], end) for end in ends.T]).std(axis=0)
+    assert (told > 0.95 * true).all(), (told, true)
+    assert (told < 2 * true).all(), (told, true)
+
+
+@given(
+    st.floats(0.5, 200), st.floats(0, 0.1), st.integers(0, 1000), st.floats(0.1, 0.9)
+)  # fmt: skip
+def test_regular_odometry_of_any_rate_has_no_gap(rate_hz, jitter, seed, share):
+    rng = np.random.default_rng(seed)
+    taker = odometry(NOISE)
+    stamps = (np.arange(60) + rng.uniform(-jitter, jitter, 60) + 1) / rate_hz
+    feed(taker, stamps, rng.normal(0, 0.01, (60, 3)))
+    taker.motion_to(round(stamps[0] * SECOND))
+    moved = taker.motion_to(round((stamps[30] + share * (stamps[31] - stamps[30])) * SECOND))
+    assert moved.extra is NO_EXTRA
+
+
+def test_two_intervals_in_turn_are_usual():
+    taker = odometry(NOISE)
+    stamps = np.cumsum(np.tile([0.2, 0.8], 40))
+    feed(taker, stamps, np.zeros((80, 3)))
+    taker.motion_to(SECOND)
+    assert taker.motion_to(int(30.5 * SECOND)).extra is NO_EXTRA
+
+
+def test_a_new_rate_is_usual_after_a_while():
+    taker = odometry(NOISE)
+    stamps = [*np.arange(0, 5, 0.05), *np.arange(5, 25, 0.5)]
+    feed(taker, stamps, [(0.2 * t, 0, 0) for t in stamps])
+    taker.motion_to(int(15.2 * SECOND))
+    taker.use()
+    assert taker.motion_to(int(20.2 * SECOND)).extra is NO_EXTRA
+
+
+def test_a_sample_that_is_taken_back_takes_its_gap_with_it():
+    taker = odometry(NOISE)
+    stamps = [*np.arange(0, 3, 0.1), 4.0, *np.arange(3.0, 3.95, 0.1)]
+    feed(taker, stamps, [(t, 0, 0) for t in stamps])
+    taker.motion_to(2 * SECOND)
+    assert taker.motion_to(int(3.85 * SECOND)).extra is NO_EXTRA
+
+
+def test_a_reset_hides_as_much_as_the_robot_may_have_driven_meanwhile():
+    told = []
+    taker = odometry(NONE, told)
+    feed(taker, np.arange(0, 5, 0.1), [(0.8 * t, 0, 0.2 * t) for t in np.arange(0, 5, 0.1)])
+    taker.motion_to(round(4.9 * SECOND))
+    feed(taker, [6.9, 7.0, 7.1], [(400, 0, 0)] * 3)
+    moved = taker.motion_to(round(7.1 * SECOND))
+    assert told == [RESET]
+    np.testing.assert_allclose(moved.motion, 0, atol=1e-9)
+    np.testing.assert_allclose(moved.extra, [1.6 / 2**0.5, 1.6 / 2**0.5, 0.4], rtol=1e-3)
+
+
+def test_gaps_without_number_are_taken_for_longer_ones():
+    taker, few = odometry(NOISE), odometry(NOISE)
+    kept = [k for k in range(4000) if k % 4]
+    for one, until in ((taker, 4000), (few, 3 * MOST_GAPS)):
+        own = [k for k in kept if k < until]
+        feed(one, np.array(own) / 10, [(0.01 * k, 0, 0) for k in own])
+        one.motion_to(2 * SECOND)
+    assert len(taker._gaps) == MOST_GAPS
+    begin, end = (
+        Instant(SECOND * 2, np.array([0.2, 0, 0])),
+        Instant(399 * SECOND, np.array([39.9, 0, 0])),
+    )
+    assert (taker.motion_to_newest().extra[:2] > few.motion_to_newest().extra[:2]).all()
+    assert begin.stamp_ns < end.stamp_ns
