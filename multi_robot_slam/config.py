@@ -1,7 +1,7 @@
 """The estimate's configuration: one record of all modules' settings."""
 
 from dataclasses import field
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt
@@ -114,6 +114,21 @@ class Config:
     start_poses: Annotated[
         tuple[tuple[float, float, float], ...], "x, y, yaw of each robot at the start [m, m, rad]"
     ] = ((0.0, 0.0, 0.0),)
+    start_sigma: Annotated[
+        tuple[float, float],
+        "standard deviations of the start poses [m, rad] of every robot but the first, which fixes "
+        "`map`; as well as a robot is put down by hand and by eye, or measured with a tape: 5 cm "
+        "and 2 degrees; 0, 0: known",
+    ] = (0.05, 0.035)
+    start_sigmas: Annotated[
+        tuple[tuple[float, float], ...],
+        "instead of `start_sigma`, for each robot, the first included [m, rad]",
+    ] = ()
+    start_at: Annotated[
+        Literal["odom", "first message"],
+        "what lies at a start pose: the origin of the robot's odometry, so that a fusion may begin "
+        "late; or the robot at its first odometry message, whatever that says",
+    ] = "odom"
     seed: Annotated[int, Ge(0), "seed of the filter's random numbers"] = 0
     reorder_window_s: Annotated[
         float, Ge(0), "how long a silent robot holds the others back, in message time [s]"
@@ -152,6 +167,17 @@ class Config:
                 f"mounts: {len(self.mounts)} for {count} robots; give forward, left, up, roll, "
                 "pitch, yaw of each, or none and `mount` for all"
             )
+        if self.start_sigmas and len(self.start_sigmas) != count:
+            raise InputError(
+                f"start_sigmas: {len(self.start_sigmas)} for {count} robots; give metres and "
+                "radians of each, or none and `start_sigma` for all but the first"
+            )
+        for sigmas in (self.start_sigma, *self.start_sigmas):
+            if not (np.isfinite(sigmas).all() and min(sigmas) >= 0):
+                raise InputError(
+                    f"start_sigma = {list(sigmas)}: give standard deviations in m and rad, "
+                    "0 or more"
+                )
         self._require_tags_of_robots()
 
     def _require_tags_of_robots(self) -> None:
@@ -166,6 +192,12 @@ class Config:
                 "camera.tags.on_robots: robots carry tags, but sightings is false, so that nobody "
                 "would hear of them; set sightings: true"
             )
+
+    def start_sigma_of(self, robot: int) -> tuple[float, float]:
+        """Standard deviations [m, rad] of the start pose of the robot with this index."""
+        if self.start_sigmas:
+            return self.start_sigmas[robot]
+        return self.start_sigma if robot else (0.0, 0.0)
 
     def mount_of(self, robot: int) -> CameraMount:
         """Where the camera sits on the robot with this index in the team."""

@@ -18,6 +18,7 @@ def configuration(simulation, **of_filter):
     return Config(
         robots=tuple(starts),
         start_poses=tuple(tuple(pose.tolist()) for pose in starts.values()),
+        start_sigma=(0.0, 0.0),
         mount=simulation.scenario.camera.mount,
         filter=FilterSettings(**of_filter),
     )

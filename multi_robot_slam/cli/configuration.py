@@ -12,12 +12,14 @@ from multi_robot_slam.config import FOR_PICTURES, SECTION, Config
 from multi_robot_slam.pipeline import image_bags, offline
 
 OF_THE_RECORDING = (
-    *("robots", "start_poses", "camera_frame", "mount", "mounts", "sightings"),
-    "camera",
+    *("robots", "start_poses", "start_sigma", "start_sigmas", "start_at"),
+    *("camera_frame", "mount", "mounts", "sightings", "camera"),
 )
 """Facts about the robots and what they sent, which another way to estimate does not change."""
-OF_EACH_ROBOT = ("start_poses", "mounts")
-"""Those of them with one entry for each robot, in the order of `robots`; `mounts` may be empty."""
+OF_EACH_ROBOT = ("start_poses", "start_sigmas", "mounts")
+"""Those of them with one entry for each robot, in the order of `robots`; the last may be empty."""
+INSTEAD = {"mount": "mounts", "start_sigma": "start_sigmas"}
+"""What is stated for all robots, and what was known of each that it replaces."""
 
 
 class Recording(NamedTuple):
@@ -116,10 +118,13 @@ def _stated(scenario: str | None) -> tuple[dict, str]:
 
 
 def _for_robots(known: Mapping, stated: Mapping, bag: Path) -> dict:
-    """What is `known`, for the robots that are `stated` if any are; a stated `mount` is for all."""
+    """What is `known`, for the robots that are `stated` if any are.
+
+    What is stated for all robots replaces what was known of each.
+    """
     own = dict(known)
-    if "mount" in stated:
-        own.pop("mounts", None)
+    for key in INSTEAD.keys() & stated.keys():
+        own.pop(INSTEAD[key], None)
     names = stated.get("robots")
     if not isinstance(names, list):
         return own

@@ -147,6 +147,8 @@ def configuration(
 ) -> Config:
     """What the filter is told: true poses at the start, noise and mount from the data sheet.
 
+    The origin of the odometry is where the first command was given: before the start.
+
     Every frame is a step: commands stand in for odometry, and do not tell whether a robot moved.
     But for `REJUVENATION` and the gate the other settings are the defaults. No truth goes into
     the gate; that it is taken instead of the default was decided after both had been compared with
@@ -160,6 +162,8 @@ def configuration(
     return Config(
         robots=tuple(recording.robots),
         start_poses=tuple((float(x), float(y), float(yaw)) for x, y, yaw in starts),
+        start_sigma=(0.0, 0.0),
+        start_at="first message",
         mount=recording.mount,
         sightings=with_sightings,
         keyframe=EVERY_FRAME,

@@ -169,6 +169,7 @@ def configuration(team: list[Part], camera: CameraSettings) -> Config:
     return Config(
         robots=tuple(part.robot for part in team),
         start_poses=tuple(tuple(part.planar().poses[0].tolist()) for part in team),
+        start_sigma=(0.0, 0.0),
         mount=mount(team),
         camera=camera,
         filter=shipped(FOR_PICTURES).filter,

@@ -89,6 +89,7 @@ class History:
             sightings=frame.sightings,
             ranging=frame.ranging,
             extra=frame.extra,
+            start=frame.start,
         )
         self.records.append(record)
         self._leaves = np.arange(len(self._leaves), dtype=np.int32)

@@ -14,6 +14,7 @@ from multi_robot_slam.filter.sightings import JointBelief, Sighted
 from multi_robot_slam.filter.state import State
 from multi_robot_slam.models import motion, parallel
 from multi_robot_slam.models.frames import RobotFrame
+from multi_robot_slam.models.symmetric import pack, root
 from multi_robot_slam.smoothing.odometry_scale import scaled
 
 MANY_SIGMA = 10.0
@@ -34,11 +35,15 @@ def propose_by_motion(
     """Draw the poses from the motion model (7), then match and update as seen from them."""
     for frame in frames:
         poses = state.poses[frame.robot]
-        sigma = motion.standard_deviations(
-            frame.motion, frame.seconds, settings.motion, frame.extra
-        )
-        noise = sigma[:, None] * rng.standard_normal(poses.shape)
-        motion.move(poses, scaled(frame.motion, state.scales.factors[frame.robot])[:, None] + noise)
+        normals = rng.standard_normal(poses.shape)
+        if frame.start is None:
+            sigma = motion.standard_deviations(
+                frame.motion, frame.seconds, settings.motion, frame.extra
+            )
+            moved = scaled(frame.motion, state.scales.factors[frame.robot])[:, None]
+            motion.move(poses, moved + sigma[:, None] * normals)
+        else:
+            poses += root(frame.start.covariance) @ normals
         require_finite(poses)
     certain = np.zeros((len(frames), 6, settings.particles))
     _, sighted = _see_all(frames, state.poses, certain, settings.sighting_gate)
@@ -81,6 +86,8 @@ def propose_informed(
         spread = motion.spread(frame.motion, frame.seconds, settings.motion, frame.extra)
         spread = spread.astype(prior.dtype)
         informed_kernels.spread_in_map(as_seen(poses, prior.dtype), spread, prior)
+        if frame.start is not None:
+            prior += pack(frame.start.covariance).astype(prior.dtype)[:, None]
         require_finite(poses)
     joint, sighted = _see_all(frames, state.poses, priors, settings.sighting_gate)
     infos = []

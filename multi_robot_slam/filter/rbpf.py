@@ -81,6 +81,8 @@ def step(
         state.log_weight_sum += info.log_likelihood  # (17)
         poses = state.poses[frame.robot]
         state.history.append(frame, state.steps, poses, info.matches, info.new_ids)
+        if frame.start is not None:
+            state.prior = state.prior.starting(frame.robot, frame.start)
     state.steps += 1
     weights = resampling.normalise(state.log_weights)
     effective = resampling.effective_sample_size(weights)
@@ -104,6 +106,8 @@ def _propose(
     try:
         for frame in frames:
             require_usable(frame)
+            if frame.start is not None:
+                state.poses[frame.robot] = frame.start.mean[:, None]
         infos = PROPOSALS[settings.proposal](state, frames, settings, rng)
         for info in infos:
             require_finite(info.log_likelihood[None], np.finfo(float).max)

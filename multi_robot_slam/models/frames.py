@@ -22,6 +22,15 @@ class BodySightings(NamedTuple):
     """(S, 3) float64: xx xy yy [m^2]."""
 
 
+class Start(NamedTuple):
+    """What is believed of a robot's pose at its first frame before anything is seen."""
+
+    mean: np.ndarray
+    """(3,) float64: x, y [m], yaw [rad] in `map`."""
+    covariance: np.ndarray
+    """(3, 3) float64 [m^2, m rad, rad^2]; zero: known."""
+
+
 NOBODY = BodySightings(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 3)))
 
 
@@ -51,6 +60,8 @@ class RobotFrame:
     """None: the covariances are what they are, at whatever distance a point truly is."""
     extra: np.ndarray = field(default_factory=lambda: NO_EXTRA)
     """(3,) float64: standard deviations of what gaps in the odometry hide [m, m, rad]."""
+    start: Start | None = None
+    """In the robot's first frame, whose motion is zero."""
 
     @classmethod
     def from_camera(
@@ -62,6 +73,7 @@ class RobotFrame:
         mount: CameraMount,
         sightings: Sightings | None = None,
         extra: np.ndarray = NO_EXTRA,
+        start: Start | None = None,
     ) -> "RobotFrame":
         """The frame of what a camera at `mount` saw, after `motion` (3,) that took `seconds`."""
         return cls(
@@ -74,6 +86,7 @@ class RobotFrame:
             in_body(sightings, mount),
             Ranging.of(observations.positions, observations.covariances, mount),
             extra,
+            start,
         )
 
 
@@ -113,6 +126,7 @@ class Record:
     ranging: Ranging | None = None
     extra: np.ndarray = field(default_factory=lambda: NO_EXTRA)
     """(3,) float64: as of the frame."""
+    start: Start | None = None
 
     def with_rows(self, poses: np.ndarray, matches: np.ndarray, parents: np.ndarray) -> "Record":
         """The same frame with other rows: `poses` (3, R), `matches` (B, R), `parents` (R,)."""

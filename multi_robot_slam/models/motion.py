@@ -9,6 +9,9 @@ from annotated_types import Ge
 from msg_defs.types import settings
 from multi_robot_slam.models.compiled import kernel
 
+PIECES = 22
+"""Of a way of which only the ends are known: two turns, and a drive whose heading gets worse."""
+
 
 @settings
 class MotionSettings:
@@ -116,14 +119,52 @@ def predicted(
 
     `motion` is seen from `pose`, in which its noise and `extra` act; `pose` has the `covariance`.
     """
+    after, by_pose, by_noise = _linearised(pose, motion)
+    by_noise *= standard_deviations(motion, seconds, noise, extra)
+    grown = by_pose @ covariance @ by_pose.T + by_noise @ by_noise.T
+    after[2] = wrap(after[2])
+    return after, grown
+
+
+def composed(
+    pose: np.ndarray, covariance: np.ndarray, motion: np.ndarray, its_covariance: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Pose (3,) and covariance (3, 3), to first order (S1), of one that is seen from another.
+
+    `motion` (3,) leads from `pose` (3,) to it; both have covariances (3, 3), independent.
+    """
+    after, by_pose, by_motion = _linearised(pose, motion)
+    grown = by_pose @ covariance @ by_pose.T + by_motion @ its_covariance @ by_motion.T
+    return after, grown
+
+
+def least_covariance(motion: np.ndarray, seconds: float, noise: MotionSettings) -> np.ndarray:
+    """Covariance (3, 3), by (7), of a `motion` (3,) of which nothing but its ends is known (S2).
+
+    As if the robot had turned to where it was going, forwards or backwards, had driven straight,
+    and had turned again, in `seconds`. A way with detours, or one that came back, is less certain:
+    the ends do not tell.
+    """
+    distance, ahead = math.hypot(motion[0], motion[1]), math.atan2(motion[1], motion[0])
+    if abs(ahead) > np.pi / 2:
+        distance, ahead = -distance, float(wrap(ahead + np.pi))
+    way = np.zeros((PIECES, 3))
+    way[1:-1, 0] = distance / (PIECES - 2)
+    way[0, 2], way[-1, 2] = ahead, wrap(motion[2] - ahead)
+    pose, covariance = np.zeros(3), np.zeros((3, 3))
+    for piece in way:
+        pose, covariance = predicted(pose, covariance, piece, seconds / PIECES, noise)
+    return covariance
+
+
+def _linearised(pose: np.ndarray, motion: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The pose (3,) after `motion`, and its Jacobians (3, 3) by `pose` and by `motion`."""
     (x, y, yaw), (forward, left, turn) = pose.tolist(), motion.tolist()
     cos, sin = math.cos(yaw), math.sin(yaw)
     dx, dy = cos * forward - sin * left, sin * forward + cos * left
     by_pose = np.array([[1.0, 0.0, -dy], [0.0, 1.0, dx], [0.0, 0.0, 1.0]])
-    by_noise = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    by_noise *= standard_deviations(motion, seconds, noise, extra)
-    grown = by_pose @ covariance @ by_pose.T + by_noise @ by_noise.T
-    return np.array([x + dx, y + dy, wrap(yaw + turn)]), grown
+    by_motion = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+    return np.array([x + dx, y + dy, yaw + turn]), by_pose, by_motion
 
 
 def move(poses: np.ndarray, motions: np.ndarray) -> None:

@@ -29,6 +29,12 @@ def inverses(matrices: np.ndarray) -> np.ndarray:
     return result
 
 
+def root(matrix: np.ndarray) -> np.ndarray:
+    """(3, 3) whose product with its transpose is the positive semidefinite `matrix` (3, 3)."""
+    values, vectors = np.linalg.eigh(matrix)
+    return vectors * np.sqrt(np.maximum(values, 0))
+
+
 def unpack(covariances: np.ndarray) -> np.ndarray:
     """(..., 6) `xx xy xz yy yz zz` -> (..., 3, 3) symmetric, float64."""
     return np.asarray(covariances, float)[..., [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(

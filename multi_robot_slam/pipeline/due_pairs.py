@@ -24,8 +24,9 @@ class DuePairs:
     The rule is `Keyframes` on odometry interpolated at the pair's stamp, both the filter's own: a
     pair that is given out is a keyframe there unless the filter lost the one before. A pair waits
     until odometry has come so far. A robot that rests has one looked at every `rest_s`, so that a
-    filter that begins later knows where it starts. Without odometry, where every frame is to be a
-    step, and where robots see robots, whose motion decides as well, all pairs are due.
+    filter that begins later has seen something before the robot moves. Without odometry, where
+    every frame is to be a step, and where robots see robots, whose motion decides as well, all
+    pairs are due.
     """
 
     def __init__(self, config: Config) -> None:

@@ -41,6 +41,8 @@ class _Sample(NamedTuple):
     """(3,) pose of the robot's own frame `odom` in that frame; None until the first reset."""
     rates: Rates
     """How fast the robot was up to here."""
+    covariance: np.ndarray | None
+    """(3, 3) of `pose` as the driver tells it; None since the first reset."""
 
     def in_odom(self, pose: np.ndarray) -> np.ndarray:
         """A `pose` (3,) of the frame of the first sample in the robot's own."""
@@ -87,6 +89,7 @@ class Odometry:
         self._intervals = Intervals()
         self._gaps: list[Gap] = []
         """Those after the frame that was used last."""
+        self._first: Instant | None = None
         self._used: Instant | None = None
         self._reached = Instant(0, np.zeros(3))
         self._pose_in_odom = np.zeros(3)
@@ -101,6 +104,18 @@ class Odometry:
     def newest(self) -> PoseSample | None:
         """The last sample that was taken and is not doubted."""
         return self._last
+
+    @property
+    def first(self) -> Instant:
+        """The first sample; there must be one."""
+        if self._first is None:
+            raise ValueError("no odometry came yet")
+        return self._first
+
+    @property
+    def has_begun(self) -> bool:
+        """A frame was used."""
+        return self._used is not None
 
     @property
     def used_pose(self) -> np.ndarray:
@@ -155,17 +170,25 @@ class Odometry:
         difference[2] = wrap(difference[2])
         return first.pose + share * difference
 
+    def covariance_at(self, stamp_ns: int) -> np.ndarray | None:
+        """Covariance (3, 3) of the pose at `stamp_ns`, as the driver tells it; see `at`.
+
+        Of the sample after it, which is the less certain. None after a reset: it is of another way.
+        """
+        self.at(stamp_ns)
+        is_between = len(self._samples) > 1 and self._samples[0].stamp_ns < stamp_ns
+        return self._samples[1 if is_between else 0].covariance
+
     def motion_to(self, stamp_ns: int) -> Motion:
         """Motion since the frame that was used last.
 
-        The first frame asked for is where the robot starts, whether or not it can be used. See
-        `at` for `stamp_ns`.
+        Zero as long as none was: where the robot is then, `start` tells. See `at` for `stamp_ns`.
         """
         pose = self.at(stamp_ns)
         self._reached = Instant(stamp_ns, pose)
         self._reached_in_odom = self._samples[0].in_odom(pose)
         if self._used is None:
-            self.use()
+            return Motion(np.zeros(3), 0.0, NO_EXTRA)
         return self._motion(self._reached)
 
     def motion_to_newest(self) -> Motion:
@@ -196,6 +219,8 @@ class Odometry:
         if self._last is not None:
             self._tell(self._last, AHEAD)
         taken = self._samples.pop()
+        if not self._samples:
+            self._first = None
         self._intervals.take_back()
         if self._gaps and self._gaps[-1].end.stamp_ns == taken.stamp_ns:
             self._gaps.pop()
@@ -208,11 +233,14 @@ class Odometry:
         return bool(is_slow and np.abs(wrap(turn)) <= self._limits.fastest_rad_s * seconds)
 
     def _keep(self, sample: PoseSample, is_reset: bool = False) -> None:
-        pose = sample.pose
-        if self._origin is not None:
-            pose = _composed(self._origin, pose)
-        rates = self._rates_until(Instant(sample.stamp_ns, pose), is_reset)
-        self._samples.append(_Sample(sample.stamp_ns, pose, self._origin, rates))
+        pose, origin = sample.pose, self._origin
+        if origin is not None:
+            pose = _composed(origin, pose)
+        now = Instant(sample.stamp_ns, pose)
+        covariance = sample.covariance if origin is None else None
+        rates = self._rates_until(now, is_reset)
+        self._samples.append(_Sample(sample.stamp_ns, pose, origin, rates, covariance))
+        self._first = self._first or now
         self._before_last, self._last = self._last, sample
         if len(self._samples) > MOST_SAMPLES:
             self._samples.popleft()

@@ -20,6 +20,7 @@ from multi_robot_slam.models.frames import RobotFrame
 from multi_robot_slam.pipeline.losses import Losses, Missing
 from multi_robot_slam.pipeline.odometry import Odometry
 from multi_robot_slam.pipeline.plausibility import Refusal
+from multi_robot_slam.pipeline.start import start_of
 
 NO_FRAME = Refusal("sighting without a frame", "send a cloud with the sightings, even an empty one")
 
@@ -42,6 +43,7 @@ class RobotInputs:
         self.odometry = Odometry(config.plausible, config.filter.motion, drop)
         self.losses = {kind: Losses(config.apart_ns) for kind in (ODOMETRY, FRAMES)}
         self._drop = drop
+        self._config = config
         self._mount = config.mount_of(index)
         self._correlated = np.float32(config.filter.correlated)
         self._sends_sightings = config.sightings
@@ -109,14 +111,25 @@ class RobotInputs:
     ) -> RobotFrame:
         """The frame at `stamp_ns`, with the motion since the one used before.
 
-        Without `observations` it is an empty one. Odometry must have reached `stamp_ns`.
+        Until one was used, with where the robot starts. Without `observations` it is an empty one.
+        Odometry must have reached `stamp_ns`.
         """
         moved = self.odometry.motion_to(stamp_ns)
         seen = _nothing(self.name, stamp_ns) if observations is None else observations
         if self._correlated != 1:
             seen = replace(seen, covariances=self._correlated * seen.covariances)
+        start = None
+        if not self.odometry.has_begun:
+            start = start_of(self.index, stamp_ns, self.odometry, self._config)
         return RobotFrame.from_camera(
-            self.index, moved.motion, moved.seconds, seen, self._mount, sightings, moved.extra
+            self.index,
+            moved.motion,
+            moved.seconds,
+            seen,
+            self._mount,
+            sightings,
+            moved.extra,
+            start,
         )
 
     def count(self, seen: int = 0, used: int = 0) -> None:

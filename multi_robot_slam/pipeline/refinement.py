@@ -167,7 +167,7 @@ def _smooth(
     config: Config,
 ) -> tuple[Problem, Smoothed, Scales]:
     """The optimum of the paths and of the odometry's factors, from `poses` (P, 3) and `scales`."""
-    motion, prior = config.filter.motion, Prior.exact(np.array(config.start_poses))
+    motion, prior = config.filter.motion, _prior(records, config)
     motions = np.array([record.motion for record in records])
     covariances, is_final = None, config.filter.noise_at == "measurement"
     for _ in range(MOST_ROUNDS):
@@ -184,6 +184,15 @@ def _smooth(
             covariances = covariances_of(records, identities, poses, problem.ids, places)
             is_final = True
     return problem, smoothed, scales
+
+
+def _prior(records: Sequence[Record], config: Config) -> Prior:
+    """What was believed of each robot's start."""
+    prior = Prior.exact(np.array(config.start_poses))
+    for record in records:
+        if record.start is not None:
+            prior = prior.starting(record.robot, record.start)
+    return prior
 
 
 def _scales(config: Config) -> Scales:

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from multi_robot_slam.models.frames import Start
 from multi_robot_slam.smoothing.lapack import whitener
 
 SMALLEST_SIGMA = 1e-5
@@ -64,6 +65,15 @@ class Prior(NamedTuple):
         poses = np.array(start_poses, float)
         covariance = SMALLEST_SIGMA**2 * np.eye(poses.size)
         return cls(poses, np.empty(0, np.int64), np.empty((0, 3)), np.empty((0, 6)), covariance)
+
+    def starting(self, robot: int, start: Start) -> "Prior":
+        """With the anchor of `robot` where it starts, of which nothing else tells."""
+        poses, covariance = self.poses.copy(), self.covariance.copy()
+        own = 3 * robot + np.arange(3)
+        poses[robot] = start.mean
+        covariance[own], covariance[:, own] = 0, 0
+        covariance[np.ix_(own, own)] = start.covariance + SMALLEST_SIGMA**2 * np.eye(3)
+        return self._replace(poses=poses, covariance=covariance)
 
     def rows(self, robots: np.ndarray, centres: np.ndarray) -> np.ndarray:
         """(3 A + 2 a,) rows in the covariance of robots' (A,) anchors, then of centres (a,)."""

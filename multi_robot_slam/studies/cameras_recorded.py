@@ -95,7 +95,12 @@ def alone(session: Session, robot: int) -> Session:
     config, recorded = session.config, session.recorded
     name = config.robots[robot]
     return Session(
-        replace(config, robots=(name,), start_poses=(config.start_poses[robot],)),
+        replace(
+            config,
+            robots=(name,),
+            start_poses=(config.start_poses[robot],),
+            start_sigmas=config.start_sigmas[robot : robot + 1],
+        ),
         [event for event in session.events if event.robot == name],
         replace(
             recorded,

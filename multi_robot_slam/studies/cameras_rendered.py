@@ -106,6 +106,7 @@ def configuration(simulation: Simulation, setup: str) -> Config:
         base,
         robots=tuple(starts),
         start_poses=tuple((float(x), float(y), float(yaw)) for x, y, yaw in starts.values()),
+        start_sigma=(0.0, 0.0),
         mount=simulation.scenario.camera.mount,
         filter=replace(base.filter, noise_at="landmark"),
     )

@@ -69,11 +69,12 @@ def explore(base: Base, trial: Trial) -> Exploration:
 def configure(
     simulated: Exploration | Simulation, keyframe: Keyframe, filter_settings: FilterSettings
 ) -> Config:
-    """The estimate's configuration for a simulated team."""
+    """The estimate's configuration for a simulated team, whose start poses are known."""
     starts = simulated.start_poses
     return Config(
         robots=tuple(starts),
         start_poses=tuple((float(x), float(y), float(yaw)) for x, y, yaw in starts.values()),
+        start_sigma=(0.0, 0.0),
         seed=simulated.seed,
         mount=simulated.scenario.camera.mount,
         keyframe=keyframe,

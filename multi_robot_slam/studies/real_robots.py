@@ -131,6 +131,7 @@ def _alone(config: Config, robot: int) -> Config:
         config,
         robots=(config.robots[robot],),
         start_poses=(config.start_poses[robot],),
+        start_sigmas=config.start_sigmas[robot : robot + 1],
         mounts=config.mounts[robot : robot + 1],
         sightings=False,
     )

@@ -502,8 +502,8 @@ def test_a_step_that_cannot_be_done_is_lost_alone(monkeypatch, error):
     assert error_m(steps) < 3.0
 
 
-def test_after_a_first_step_that_cannot_be_done_the_robot_has_moved_from_its_start(monkeypatch):
-    """The start pose is that of the first frame: the second has the motion since then."""
+def test_after_a_first_step_that_cannot_be_done_the_second_frame_is_the_start(monkeypatch):
+    """And the robot has moved there from its start pose, as its odometry says."""
     right, done = rbpf.step, []
 
     def fails_first(state, frames, settings, rng):
@@ -512,14 +512,22 @@ def test_after_a_first_step_that_cannot_be_done_the_robot_has_moved_from_its_sta
             raise ArithmeticError("no finite numbers")
         return right(state, frames, settings, rng)
 
-    expected = np.diff([step[0].odometry.pose[:2] for step in STEPS[:2]], axis=0)
+    moved = STEPS[1][0].odometry
     monkeypatch.setattr(rbpf, "step", fails_first)
     steps, pipeline, _ = run(clean())
     assert pipeline.dropped == {FAILED_STEP: 1}
     assert len(steps) == len(STEPS) - 1
-    assert np.hypot(*done[1][0].motion[:2]) == pytest.approx(np.hypot(*expected[0]))
-    assert np.hypot(*expected[0]) > 0.1
-    assert done[1][0].seconds == pytest.approx(done[2][0].seconds)
+    first, second, third = (frames[0] for frames in done[:3])
+    start = np.array(CONFIG.start_poses[0])
+    assert not second.motion.any()
+    assert second.seconds == 0
+    assert third.start is None
+    np.testing.assert_array_equal(first.start.mean, start)
+    np.testing.assert_array_equal(first.start.covariance, np.zeros((3, 3)))
+    assert np.hypot(*(second.start.mean - start)[:2]) == pytest.approx(np.hypot(*moved.pose[:2]))
+    assert np.hypot(*moved.pose[:2]) > 0.1
+    assert (np.diag(second.start.covariance) > 0).all()
+    assert third.seconds > 0
 
 
 OPEN = Plausible(

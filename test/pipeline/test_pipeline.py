@@ -18,6 +18,7 @@ def config(robots: int = 3, **changes) -> Config:
     return Config(
         robots=NAMES[:robots],
         start_poses=tuple(tuple(map(float, p)) for p in worlds.START[:robots]),
+        start_sigma=(0.0, 0.0),
         mount=worlds.MOUNT,
         filter=worlds.settings(particles=20),
         **{"keyframe": EVERY_FRAME} | changes,
