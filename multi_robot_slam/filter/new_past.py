@@ -18,7 +18,6 @@ from multi_robot_slam.smoothing import draws, joining, solve
 from multi_robot_slam.smoothing.absorption import resting
 from multi_robot_slam.smoothing.aliases import Aliases
 from multi_robot_slam.smoothing.known_distance import covariances_of
-from multi_robot_slam.smoothing.odometry_scale import Scales, learn
 from multi_robot_slam.smoothing.prior import Prior
 from multi_robot_slam.smoothing.problem import Problem, problem_of
 from multi_robot_slam.smoothing.solve import Smoothed, SmoothingError
@@ -50,14 +49,6 @@ class Drawn(NamedTuple):
     """The one the past begins with, joined landmarks under the id they go by."""
     problem: Problem
     smoothed: Smoothed
-    motions: np.ndarray
-    """(P, 3) of the records, as odometry told them."""
-    old_scales: Scales
-
-    def learn(self, settle: int) -> Scales:
-        """The odometry's factors, where the first `settle` records leave."""
-        count = len(self.past.identities)
-        return learn(self.old_scales, self.problem, self.smoothed, self.motions, settle / count)
 
 
 def draw(
@@ -112,8 +103,6 @@ def draw(
         prior,
         problem,
         smoothed,
-        np.array([record.motion for record in records]),
-        old.scales,
     )
 
 
@@ -159,6 +148,7 @@ def _smooth(
             old.scales.factors,
             also=aliases.of(also),
             covariances=covariances,
+            noisier=old.noise.used,
         )
         start = solve.smooth(problem, poses, settings.robust_above, NEAR_ENOUGH, start)
         return problem, start

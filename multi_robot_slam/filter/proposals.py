@@ -37,8 +37,9 @@ def propose_by_motion(
         poses = state.poses[frame.robot]
         normals = rng.standard_normal(poses.shape)
         if frame.start is None:
+            factor = state.noise.used[frame.robot, 0]
             sigma = motion.standard_deviations(
-                frame.motion, frame.seconds, settings.motion, frame.extra
+                frame.motion, frame.seconds, settings.motion, frame.extra, factor
             )
             moved = scaled(frame.motion, state.scales.factors[frame.robot])[:, None]
             motion.move(poses, moved + sigma[:, None] * normals)
@@ -83,7 +84,8 @@ def propose_informed(
     for frame, prior in zip(frames, priors, strict=True):
         poses = state.poses[frame.robot]
         motion.move(poses, scaled(frame.motion, state.scales.factors[frame.robot])[:, None])
-        spread = motion.spread(frame.motion, frame.seconds, settings.motion, frame.extra)
+        factor = state.noise.used[frame.robot, 0]
+        spread = motion.spread(frame.motion, frame.seconds, settings.motion, frame.extra, factor)
         spread = spread.astype(prior.dtype)
         informed_kernels.spread_in_map(as_seen(poses, prior.dtype), spread, prior)
         if frame.start is not None:

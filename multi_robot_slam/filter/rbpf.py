@@ -21,7 +21,8 @@ from multi_robot_slam.filter.state import State, resample
 from multi_robot_slam.models.frames import RobotFrame
 from multi_robot_slam.models.parallel import one_thread
 from multi_robot_slam.models.ranging import Ranging
-from multi_robot_slam.smoothing.odometry_scale import Scales
+from multi_robot_slam.smoothing.noise_factors import NoiseFactors
+from multi_robot_slam.smoothing.odometry_scale import VAGUE, Scales
 from multi_robot_slam.smoothing.prior import Prior
 
 __all__ = ["NotFiniteError", "State", "StepInfo", "best_particle", "init", "step", "warm_up"]
@@ -62,6 +63,8 @@ def init(
         log_weight_sum=np.zeros(count),
         history=History(count, keeps_frames),
         scales=Scales.unknown(len(start_poses), settings.motion.scale_sigma),
+        bias=Scales.unknown(len(start_poses), VAGUE),
+        noise=NoiseFactors.as_told(len(start_poses)),
         prior=Prior.exact(start_poses),
     )
 
@@ -103,6 +106,7 @@ def _propose(
     moved poses and the sightings in the proposals.
     """
     before = state.poses.copy()
+    frames = [frame.with_noise(state.noise.used[frame.robot, 1]) for frame in frames]
     try:
         for frame in frames:
             require_usable(frame)

@@ -32,8 +32,9 @@ from multi_robot_slam.filter.new_past import Drawn, draw
 from multi_robot_slam.filter.settings import FilterSettings, RejuvenationSettings
 from multi_robot_slam.filter.snapshot import Snapshot
 from multi_robot_slam.filter.state import Optimum, State
-from multi_robot_slam.smoothing import joining
+from multi_robot_slam.smoothing import joining, noise_factors, odometry_scale
 from multi_robot_slam.smoothing.absorption import absorb
+from multi_robot_slam.smoothing.odometry_scale import Scales
 
 FAILURES = (ArithmeticError, ValueError)
 """What a step or a smoothing raises where it cannot be done, with the state as before.
@@ -113,6 +114,7 @@ def _renewed(old: Snapshot, drawn: list[Drawn], settings: FilterSettings) -> Sta
     """All groups go on from their new pasts; the largest says what settles."""
     largest = drawn[0]
     settle = _how_many_settle(old, largest, settings)
+    scales, bias = _odometry_factors(old, largest, settle)
     no_centre = _without_centre(old, largest, settle, settings)
     prior = absorb(largest.problem, largest.smoothed, settle, largest.prior, no_centre)
     lost = _unseen_since(no_centre, old, largest, settle)
@@ -128,7 +130,16 @@ def _renewed(old: Snapshot, drawn: list[Drawn], settings: FilterSettings) -> Sta
         log_weights=np.zeros(len(old.log_weight_sum)),
         log_weight_sum=old.log_weight_sum.copy(),
         history=old.history.renewed([group.past for group in drawn], settle),
-        scales=largest.learn(settle),
+        scales=scales,
+        bias=bias,
+        noise=noise_factors.learn(
+            old.noise,
+            largest.problem,
+            largest.smoothed,
+            settle,
+            settings.gate,
+            settings.learn_noise,
+        ),
         prior=prior,
         covisible=covisible.only(prior.ids),
         optimum=Optimum(largest.smoothed.of_records[settle:], None if settle else largest.smoothed),
@@ -144,6 +155,14 @@ def _renewed(old: Snapshot, drawn: list[Drawn], settings: FilterSettings) -> Sta
         state.log_weights[members] = drawn_group.log_weights
         state.log_weight_sum[members] = np.log(len(members)) + drawn_group.log_densities
     return state
+
+
+def _odometry_factors(old: Snapshot, largest: Drawn, settle: int) -> tuple[Scales, Scales]:
+    """The factors that are used, and what the paths tell of them, where `settle` records leave."""
+    motions = np.array([record.motion for record in old.history.records])
+    known = largest.problem, largest.smoothed, motions, settle / len(motions)
+    bias = old.bias._replace(factors=old.scales.factors)
+    return odometry_scale.learn(old.scales, *known), odometry_scale.learn(bias, *known)
 
 
 def _how_many_settle(old: Snapshot, largest: Drawn, settings: FilterSettings) -> int:

@@ -101,6 +101,12 @@ class FilterSettings:
         "1 + 2 sum (1 - k / n) r_k for n observations of a landmark whose errors correlate by r_k "
         "k frames apart; a camera's do, for the same texture fools it again",
     ] = 1.0
+    learn_noise: Annotated[
+        bool,
+        "whether the noise of each robot's odometry and observations is that which rejuvenation "
+        "finds, a factor on what was told; otherwise the factors are estimated all the same, and "
+        "only told",
+    ] = False
     threads: Annotated[
         int, Interval(ge=0, le=256), "threads of the filter; 0 chooses; no effect on results"
     ] = 0

@@ -10,6 +10,7 @@ from multi_robot_slam.filter.history import History
 from multi_robot_slam.filter.new_map import Held
 from multi_robot_slam.filter.settings import FilterSettings
 from multi_robot_slam.filter.state import Optimum, State
+from multi_robot_slam.smoothing.noise_factors import NoiseFactors
 from multi_robot_slam.smoothing.odometry_scale import Scales
 from multi_robot_slam.smoothing.prior import Prior
 
@@ -25,6 +26,8 @@ class Snapshot:
     """(M,)."""
     history: History
     scales: Scales
+    bias: Scales
+    noise: NoiseFactors
     prior: Prior
     covisible: Covisible
     optimum: Optimum | None
@@ -53,6 +56,8 @@ def taken(state: State, settings: FilterSettings, rng: np.random.Generator) -> S
         state.log_weight_sum[ancestors],
         history,
         state.scales,
+        state.bias,
+        state.noise,
         state.prior.forget(lost) if len(lost) else state.prior,
         state.covisible,
         state.optimum,

@@ -8,6 +8,7 @@ import numpy as np
 from multi_robot_slam.filter.covisible import Covisible
 from multi_robot_slam.filter.history import History
 from multi_robot_slam.filter.landmarks import Landmarks
+from multi_robot_slam.smoothing.noise_factors import NoiseFactors
 from multi_robot_slam.smoothing.odometry_scale import Scales
 from multi_robot_slam.smoothing.prior import Prior
 from multi_robot_slam.smoothing.solve import Smoothed
@@ -35,6 +36,10 @@ class State:
     """(M,) float64: sum over all steps of each particle's lineage (17)."""
     history: History
     scales: Scales
+    bias: Scales
+    """The odometry's factors as the paths tell them, whatever is used; next to nothing is known of
+    them before."""
+    noise: NoiseFactors
     prior: Prior
     """What the settled frames say: of where the robots were at their end, and of landmarks."""
     covisible: Covisible = field(default_factory=Covisible.nothing)

@@ -89,6 +89,15 @@ class RobotFrame:
             start,
         )
 
+    def with_noise(self, factor: float) -> "RobotFrame":
+        """With `factor` times the standard deviations of the observations."""
+        if factor == 1:
+            return self
+        covariances, ranging = factor**2 * self.covariances, self.ranging
+        if ranging is not None:
+            ranging = ranging._replace(along=factor * ranging.along)
+        return replace(self, covariances=covariances, ranging=ranging)
+
 
 def in_body(sightings: Sightings | None, mount: CameraMount) -> BodySightings:
     """The sightings in `base_link`; at which height a robot was seen says nothing of its pose."""

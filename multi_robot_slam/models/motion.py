@@ -68,14 +68,16 @@ def standard_deviations(
     seconds: float | np.ndarray,
     noise: MotionSettings,
     extra: np.ndarray = NO_EXTRA,
+    factor: float | np.ndarray = 1.0,
 ) -> np.ndarray:
     """Standard deviations (3, ...) of `motion` (3, ...) that took `seconds`, in its own units.
 
-    Those of (7), and in quadrature the `extra` (3, ...) of what gaps in the odometry hide.
+    `factor` times those of (7), and in quadrature the `extra` (3, ...) of what gaps in the odometry
+    hide.
     """
     root = np.sqrt(np.hypot(motion[0], motion[1]))
     turn, time = np.sqrt(abs(motion[2])), np.sqrt(seconds)
-    told = np.array(
+    told = factor * np.array(
         [
             np.hypot(noise.forward_per_sqrt_m * root, noise.forward_per_sqrt_s * time),
             np.hypot(noise.left_per_sqrt_m * root, noise.left_per_sqrt_s * time),
@@ -89,13 +91,17 @@ def standard_deviations(
 
 
 def spread(
-    motion: np.ndarray, seconds: float, noise: MotionSettings, extra: np.ndarray = NO_EXTRA
+    motion: np.ndarray,
+    seconds: float,
+    noise: MotionSettings,
+    extra: np.ndarray = NO_EXTRA,
+    factor: float = 1.0,
 ) -> np.ndarray:
     """Covariance xx xy yy of the position and variance of the yaw after `motion`: (4,).
 
     Seen from the pose that `motion` (3,) leads to; the noise itself acts in the pose before.
     """
-    forward, left, yaw = np.square(standard_deviations(motion, seconds, noise, extra))
+    forward, left, yaw = np.square(standard_deviations(motion, seconds, noise, extra, factor))
     cos, sin = np.cos(motion[2]), np.sin(motion[2])
     return np.array(
         [
@@ -114,13 +120,14 @@ def predicted(
     seconds: float,
     noise: MotionSettings,
     extra: np.ndarray = NO_EXTRA,
+    factor: float = 1.0,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Pose (3,) and covariance (3, 3) after `motion` (3,) that took `seconds`: (7), to first order.
 
     `motion` is seen from `pose`, in which its noise and `extra` act; `pose` has the `covariance`.
     """
     after, by_pose, by_noise = _linearised(pose, motion)
-    by_noise *= standard_deviations(motion, seconds, noise, extra)
+    by_noise *= standard_deviations(motion, seconds, noise, extra, factor)
     grown = by_pose @ covariance @ by_pose.T + by_noise @ by_noise.T
     after[2] = wrap(after[2])
     return after, grown

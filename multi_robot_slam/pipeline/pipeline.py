@@ -117,8 +117,10 @@ class Pipeline:
             return None
         moved, seconds, extra = odometry.motion_to_newest()
         moved = scaled(moved, self._particles.state.scales.factors[robot])
-        noise = self.config.filter.motion
-        where = motion.predicted(before.pose, before.covariance, moved, seconds, noise, extra)
+        noise, factor = self.config.filter.motion, self._particles.state.noise.used[robot, 0]
+        where = motion.predicted(
+            before.pose, before.covariance, moved, seconds, noise, extra, factor
+        )
         return Estimate(event.robot, event.stamp_ns, *where)
 
     def frames(self) -> dict[str, FrameCount]:

@@ -20,6 +20,9 @@ from multi_robot_slam.smoothing.kernels.links import odometry_jacobians
 from multi_robot_slam.smoothing.problem import Problem
 from multi_robot_slam.smoothing.solve import Smoothed, SmoothingError
 
+VAGUE = 0.3
+"""Standard deviation of factors of which nothing is known: no odometry is off by twice."""
+
 
 class Scales(NamedTuple):
     """The factors of K robots, and what fixed poses say of them."""
@@ -30,12 +33,15 @@ class Scales(NamedTuple):
     """(2 K,) float64: m."""
     information: np.ndarray
     """(2 K, 2 K) float64: L."""
+    sigmas: np.ndarray
+    """(K, 2) float64: standard deviations of the factors, if the noise is as it was used."""
 
     @classmethod
     def unknown(cls, robots: int, sigma: float) -> "Scales":
         """Nothing was seen yet; `sigma` 0: the factors are 1."""
         information = np.eye(2 * robots) / sigma**2 if sigma > 0 else np.zeros((0, 0))
-        return cls(np.ones((robots, 2)), np.ones(2 * robots), information)
+        sigmas = np.full((robots, 2), sigma)
+        return cls(np.ones((robots, 2)), np.ones(2 * robots), information, sigmas)
 
 
 def learn(
@@ -59,11 +65,13 @@ def learn(
     information = scales.information + fixed * curvature
     known = scales.information @ scales.mean + fixed * (curvature @ old - gradient)
     try:
+        covariance = np.linalg.inv(scales.information + curvature)
         new = old - np.linalg.solve(scales.information + curvature, pull)
         mean = np.linalg.solve(information, known)
     except np.linalg.LinAlgError as error:
         raise SmoothingError("the odometry's factors have no optimum") from error
-    return Scales(new.reshape(-1, 2), mean, information)
+    sigmas = np.sqrt(np.diag(covariance))
+    return Scales(new.reshape(-1, 2), mean, information, sigmas.reshape(-1, 2))
 
 
 def _profile(

@@ -123,6 +123,7 @@ def problem_of(
     factors: np.ndarray | None = None,
     also: Sequence[int] | np.ndarray = (),
     covariances: np.ndarray | None = None,
+    noisier: np.ndarray | None = None,
 ) -> Problem:
     """The problem that a history poses.
 
@@ -136,6 +137,8 @@ def problem_of(
     factors : (K, 2) of the odometry's distances and turns; default: none.
     also : ids of landmarks that the problem shall hold although no record names them.
     covariances : (O, 6) of all observations in the records' order [m^2], instead of the records'.
+    noisier : (K, 2) factors on the standard deviations of the odometry and of the observations;
+        default: none.
 
     """
     robots = np.array([record.robot for record in records], np.int64)
@@ -143,7 +146,8 @@ def problem_of(
     motions = np.array([record.motion for record in records], float).reshape(-1, 3)
     seconds = np.array([record.seconds for record in records])
     extra = np.array([record.extra for record in records]).reshape(-1, 3)
-    sigmas = standard_deviations(motions.T, seconds, noise, extra.T).T
+    noisier = np.ones((len(prior.poses), 2)) if noisier is None else noisier
+    sigmas = standard_deviations(motions.T, seconds, noise, extra.T, noisier[robots, 0]).T
     if factors is not None:
         motions = motions * factors[robots][:, [0, 0, 1]]
     named = np.concatenate([np.empty(0, np.int64), *identities]).astype(np.int64)
@@ -156,6 +160,7 @@ def problem_of(
     if covariances is None:
         own = [record.covariances for record in records]
         covariances = np.concatenate([np.empty((0, 6)), *own])
+    covariances = covariances * np.square(noisier[np.repeat(robots, counts), 1])[:, None]
     order = np.argsort(seen, kind="stable")
     order = order[np.searchsorted(seen[order], 0) :]
     ids, first = np.unique(seen[order], return_index=True)
