@@ -34,6 +34,7 @@ from multi_robot_slam.filter.snapshot import Snapshot
 from multi_robot_slam.filter.state import Optimum, State
 from multi_robot_slam.smoothing import joining, noise_factors, odometry_scale
 from multi_robot_slam.smoothing.absorption import absorb
+from multi_robot_slam.smoothing.noise_factors import NoiseFactors
 from multi_robot_slam.smoothing.odometry_scale import Scales
 
 FAILURES = (ArithmeticError, ValueError)
@@ -61,6 +62,14 @@ class Rejuvenated(NamedTuple):
     """Effective sample size of the exact importance weights, summed over the groups."""
     failures: tuple[str, ...]
     """Why a history that enough particles share could not be smoothed, for each of those."""
+
+
+class Learnt(NamedTuple):
+    """What is known of odometry and noise; as in `State`."""
+
+    scales: Scales
+    bias: Scales
+    noise: NoiseFactors
 
 
 def is_due(state: State, settings: RejuvenationSettings) -> bool:
@@ -114,7 +123,6 @@ def _renewed(old: Snapshot, drawn: list[Drawn], settings: FilterSettings) -> Sta
     """All groups go on from their new pasts; the largest says what settles."""
     largest = drawn[0]
     settle = _how_many_settle(old, largest, settings)
-    scales, bias = _odometry_factors(old, largest, settle)
     no_centre = _without_centre(old, largest, settle, settings)
     prior = absorb(largest.problem, largest.smoothed, settle, largest.prior, no_centre)
     lost = _unseen_since(no_centre, old, largest, settle)
@@ -130,16 +138,7 @@ def _renewed(old: Snapshot, drawn: list[Drawn], settings: FilterSettings) -> Sta
         log_weights=np.zeros(len(old.log_weight_sum)),
         log_weight_sum=old.log_weight_sum.copy(),
         history=old.history.renewed([group.past for group in drawn], settle),
-        scales=scales,
-        bias=bias,
-        noise=noise_factors.learn(
-            old.noise,
-            largest.problem,
-            largest.smoothed,
-            settle,
-            settings.gate,
-            settings.learn_noise,
-        ),
+        **_learnt(old, largest, settle, settings)._asdict(),
         prior=prior,
         covisible=covisible.only(prior.ids),
         optimum=Optimum(largest.smoothed.of_records[settle:], None if settle else largest.smoothed),
@@ -157,12 +156,21 @@ def _renewed(old: Snapshot, drawn: list[Drawn], settings: FilterSettings) -> Sta
     return state
 
 
-def _odometry_factors(old: Snapshot, largest: Drawn, settle: int) -> tuple[Scales, Scales]:
-    """The factors that are used, and what the paths tell of them, where `settle` records leave."""
+def _learnt(old: Snapshot, largest: Drawn, settle: int, settings: FilterSettings) -> Learnt:
+    """What the largest group's paths say of odometry and noise, where `settle` records leave."""
+    problem, smoothed = largest.problem, largest.smoothed
     motions = np.array([record.motion for record in old.history.records])
-    known = largest.problem, largest.smoothed, motions, settle / len(motions)
-    bias = old.bias._replace(factors=old.scales.factors)
-    return odometry_scale.learn(old.scales, *known), odometry_scale.learn(bias, *known)
+    shares = noise_factors.shares_of(problem, smoothed)
+    known = problem, smoothed, motions, settle / len(motions)
+    bias = odometry_scale.learn(old.bias._replace(factors=old.scales.factors), *known)
+    limit = min(settings.gate, settings.robust_above)
+    return Learnt(
+        odometry_scale.learn(old.scales, *known),
+        odometry_scale.doubted(bias, problem, motions, shares.redundancies[0]),
+        noise_factors.learn(
+            old.noise, problem, smoothed, shares, settle, limit, settings.learn_noise
+        ),
+    )
 
 
 def _how_many_settle(old: Snapshot, largest: Drawn, settings: FilterSettings) -> int:

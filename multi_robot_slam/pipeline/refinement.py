@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,9 +14,10 @@ from multi_robot_slam.models.parallel import one_thread
 from multi_robot_slam.models.symmetric import pack
 from multi_robot_slam.pipeline.pipeline import Pipeline
 from multi_robot_slam.runs import Run
-from multi_robot_slam.smoothing import joining, marginals, solve
+from multi_robot_slam.smoothing import joining, marginals, noise_factors, solve
 from multi_robot_slam.smoothing.aliases import Aliases
 from multi_robot_slam.smoothing.known_distance import covariances_of
+from multi_robot_slam.smoothing.noise_factors import NoiseFactors
 from multi_robot_slam.smoothing.odometry_scale import Scales, learn
 from multi_robot_slam.smoothing.prior import Prior
 from multi_robot_slam.smoothing.problem import Problem, problem_of
@@ -32,6 +34,8 @@ AT_A_TIME = 64
 
 SMALLEST_CHANGE = 1e-4
 """Change of the odometry's factors below which paths and factors are done: 1 mm in 10 m."""
+NOISE_CHANGE = 1e-3
+"""The same of the factors of noise, which are known to a hundredth at best."""
 MOST_ROUNDS = 20
 """Times that paths and factors are estimated in turn; a usual run needs four."""
 
@@ -43,6 +47,26 @@ class Refined:
     paths: dict[str, Trajectory]
     landmarks: LandmarkMap
     """With marginal covariances; a landmark the filter had split keeps the oldest of its ids."""
+
+
+class Learnt(NamedTuple):
+    """What the paths tell of the odometry and of the noise."""
+
+    scales: Scales
+    noise: NoiseFactors
+
+    @classmethod
+    def nothing(cls, config: Config) -> "Learnt":
+        """As configured."""
+        robots = len(config.robots)
+        scales = Scales.unknown(robots, config.filter.motion.scale_sigma)
+        return cls(scales, NoiseFactors.as_told(robots))
+
+    def is_near(self, before: "Learnt") -> bool:
+        """Whether the paths would be the same with what was learnt `before`."""
+        scales = np.abs(self.scales.factors - before.scales.factors).max()
+        noise = np.abs(self.noise.used / before.noise.used - 1).max()
+        return bool(scales < SMALLEST_CHANGE and noise < NOISE_CHANGE)
 
 
 def complete(
@@ -104,15 +128,15 @@ def refine(lineage: Lineage, landmarks: LandmarkMap, config: Config) -> Refined:
     records = [record for record, _ in lineage]
     poses = np.array([record.poses[:, row] for record, row in lineage])
     seen = [record.matches[:, row] for record, row in lineage]
-    settings, scales = config.filter, _scales(config)
+    settings, learnt = config.filter, Learnt.nothing(config)
     alike = landmarks.ids[joining.alike(landmarks.descriptors, settings.descriptor_gate)]
     alike = alike.astype(np.int64)
 
     def smoothed_with(aliases: Aliases, poses: np.ndarray) -> tuple[Problem, Smoothed]:
-        nonlocal scales
+        nonlocal learnt
         identities = [aliases.of(ids) for ids in seen]
-        problem, smoothed, scales = _smooth(
-            records, identities, poses, scales, settings.robust_above, config
+        problem, smoothed, learnt = _smooth(
+            records, identities, poses, learnt, settings.robust_above, config
         )
         return problem, smoothed
 
@@ -154,7 +178,8 @@ def yardstick(
         return None
     poses = np.array([record.poses[:, row] for record, row in lineage])
     certain = joining.widened_gate(config.filter.robust_above, sum(map(len, identities)))
-    _, smoothed, _ = _smooth(records, identities, poses, _scales(config), certain, config)
+    nothing = Learnt.nothing(config)
+    _, smoothed, _ = _smooth(records, identities, poses, nothing, certain, config)
     return _trajectories(records, smoothed.of_records, config)
 
 
@@ -162,28 +187,34 @@ def _smooth(
     records: Sequence[Record],
     identities: list[np.ndarray],
     poses: np.ndarray,
-    scales: Scales,
+    known: Learnt,
     robust_above: float,
     config: Config,
-) -> tuple[Problem, Smoothed, Scales]:
-    """The optimum of the paths and of the odometry's factors, from `poses` (P, 3) and `scales`."""
+) -> tuple[Problem, Smoothed, Learnt]:
+    """The optimum of the paths and of what is learnt with them, from `poses` (P, 3) and `known`."""
     motion, prior = config.filter.motion, _prior(records, config)
     motions = np.array([record.motion for record in records])
     covariances, is_final = None, config.filter.noise_at == "measurement"
     for _ in range(MOST_ROUNDS):
         problem = problem_of(
-            records, identities, prior, motion, scales.factors, covariances=covariances
+            records,
+            identities,
+            prior,
+            motion,
+            known.scales.factors,
+            covariances=covariances,
+            noisier=known.noise.used,
         )
         smoothed = solve.smooth(problem, poses, robust_above)
-        learnt = learn(scales, problem, smoothed, motions, fixed=0.0)
-        if is_final and np.abs(learnt.factors - scales.factors).max() < SMALLEST_CHANGE:
+        learnt = _learnt(known, problem, smoothed, motions, config)
+        if is_final and learnt.is_near(known):
             break
-        scales, poses = learnt, smoothed.of_records
+        known, poses = learnt, smoothed.of_records
         if not is_final:
             places = smoothed.landmarks[:, :3]
             covariances = covariances_of(records, identities, poses, problem.ids, places)
             is_final = True
-    return problem, smoothed, scales
+    return problem, smoothed, known
 
 
 def _prior(records: Sequence[Record], config: Config) -> Prior:
@@ -195,8 +226,16 @@ def _prior(records: Sequence[Record], config: Config) -> Prior:
     return prior
 
 
-def _scales(config: Config) -> Scales:
-    return Scales.unknown(len(config.robots), config.filter.motion.scale_sigma)
+def _learnt(
+    known: Learnt, problem: Problem, smoothed: Smoothed, motions: np.ndarray, config: Config
+) -> Learnt:
+    """One step from `known`, for which `smoothed` is the optimum."""
+    scales, noise = learn(known.scales, problem, smoothed, motions, fixed=0.0), known.noise
+    if config.filter.learn_noise:
+        shares = noise_factors.shares_of(problem, smoothed)
+        limit = min(config.filter.gate, config.filter.robust_above)
+        noise = noise_factors.learn(noise, problem, smoothed, shares, 0, limit, is_used=True)
+    return Learnt(scales, noise)
 
 
 def _trajectories(

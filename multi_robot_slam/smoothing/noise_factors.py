@@ -42,8 +42,11 @@ from multi_robot_slam.smoothing.solve import Smoothed
 DRAWS = 64
 """M: redundancies of some hundred unknowns come within one in a hundred, S within three."""
 
-TOLD = 10.0
-"""Degrees of freedom that stand for what was told: as if it had been measured to 22 %."""
+TOLD = 2.0
+"""Degrees of freedom that stand for what was told: as if a factor were known to 1 / sqrt(2 TOLD).
+
+Half of it: who measures noise at all is seldom off by more than that.
+"""
 
 INSIDE = 0.99
 """Share of right residuals that count; what is further out may be a gross error, or a slip."""
@@ -99,22 +102,23 @@ def learn(
     noise: NoiseFactors,
     problem: Problem,
     smoothed: Smoothed,
+    shares: Shares,
     leaving: int,
-    gate: float,
+    limit: float,
     is_used: bool,
 ) -> NoiseFactors:
     """What the window, for which `smoothed` is the optimum with `noise.used`, adds.
 
     Parameters
     ----------
+    shares : `shares_of` the two.
     leaving : how many of the first records leave the window; their robots' shares count for good.
-    gate : D (18) beyond which observations never were matched.
+    limit : D (18) beyond which observations were not matched, or count less.
     is_used : whether the factors are used from now on, at most twice or half those before.
 
     """
-    shares = shares_of(problem, smoothed)
     used_sq = np.square(noise.used).ravel()
-    relative, inside = _relative_variances(problem, smoothed, shares, gate)
+    relative, inside = _relative_variances(problem, smoothed, shares, limit)
     matrix = inside[:, None] * shares.matrix
     equations = matrix * used_sq[:, None] / used_sq
     sums = used_sq * relative * matrix.sum(axis=1)
@@ -141,6 +145,7 @@ def _leaving_shares(problem: Problem, leaving: int, robots: int) -> np.ndarray:
     return leave / np.bincount(own, minlength=robots).clip(min=1)
 
 
+@one_thread
 def shares_of(problem: Problem, smoothed: Smoothed, draws: int = DRAWS) -> Shares:
     """S of the groups odometry of robot 0, observations of robot 0, odometry of robot 1, ..."""
     robots = problem.robots[len(problem.anchors) :]
@@ -222,7 +227,7 @@ def _by_landmarks(
 
 
 def _relative_variances(
-    problem: Problem, smoothed: Smoothed, shares: Shares, gate: float
+    problem: Problem, smoothed: Smoothed, shares: Shares, limit: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """(G,) each: variances over those used, and the share of the redundancy that tells them."""
     count = len(shares.matrix)
@@ -239,7 +244,7 @@ def _relative_variances(
                 (squared, distances)[kind][own].ravel(),
                 shares.redundancies[kind][own].ravel(),
                 (1, 3)[kind],
-                (np.inf, gate)[kind],
+                (np.inf, limit)[kind],
             )
     return relative, inside
 

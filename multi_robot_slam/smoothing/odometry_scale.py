@@ -34,7 +34,7 @@ class Scales(NamedTuple):
     information: np.ndarray
     """(2 K, 2 K) float64: L."""
     sigmas: np.ndarray
-    """(K, 2) float64: standard deviations of the factors, if the noise is as it was used."""
+    """(K, 2) float64: standard deviations of the factors, with the noise that is used."""
 
     @classmethod
     def unknown(cls, robots: int, sigma: float) -> "Scales":
@@ -95,6 +95,34 @@ def _profile(
     np.add.at(by_pose, problem.previous, mixed[:, :3])
     solved = smoothed.factor.solve_lower(by_pose.reshape(3 * len(poses), unknown))
     return gradient, np.einsum("prs,prt->st", by_scale, by_scale) - solved.T @ solved
+
+
+def doubted(
+    scales: Scales, problem: Problem, motions: np.ndarray, redundancies: np.ndarray
+) -> Scales:
+    """With larger deviations, where it is not known whether what was told errs or what was done.
+
+    (7) has the noise in what the robot does. Of an odometry that measures with it, the told u are
+    larger than they should be by its share, and the factors too small by
+
+        sum rho / sum rho (u / sigma)^2
+
+    over a robot's distances or turns: the mean of noise times residual over its weight.
+
+    Parameters
+    ----------
+    motions : (P, 3) as odometry tells them.
+    redundancies : (P, 3) rho of the odometry's residuals (`noise_factors.Shares`).
+
+    """
+    robots = problem.robots[len(problem.anchors) :]
+    noise, told = np.zeros((2, *scales.factors.shape))
+    weighted = redundancies.clip(min=0) * np.square(motions / problem.sigmas)
+    for kind, axes in enumerate((slice(0, 2), slice(2, 3))):
+        np.add.at(noise[:, kind], robots, redundancies[:, axes].clip(min=0).sum(axis=1))
+        np.add.at(told[:, kind], robots, weighted[:, axes].sum(axis=1))
+    sigmas = np.hypot(scales.sigmas, noise / np.maximum(told, 1.0))
+    return scales._replace(sigmas=sigmas)
 
 
 def scaled(motion: np.ndarray, factors: np.ndarray) -> np.ndarray:
