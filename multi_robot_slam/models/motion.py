@@ -136,7 +136,7 @@ def predicted(
 def composed(
     pose: np.ndarray, covariance: np.ndarray, motion: np.ndarray, its_covariance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Pose (3,) and covariance (3, 3), to first order (S1), of one that is seen from another.
+    """Pose (3,) and covariance (3, 3), to first order (B1), of one that is seen from another.
 
     `motion` (3,) leads from `pose` (3,) to it; both have covariances (3, 3), independent.
     """
@@ -146,7 +146,7 @@ def composed(
 
 
 def least_covariance(motion: np.ndarray, seconds: float, noise: MotionSettings) -> np.ndarray:
-    """Covariance (3, 3), by (7), of a `motion` (3,) of which nothing but its ends is known (S2).
+    """Covariance (3, 3), by (7), of a `motion` (3,) of which nothing but its ends is known (B2).
 
     As if the robot had turned to where it was going, forwards or backwards, had driven straight,
     and had turned again, in `seconds`. A way with detours, or one that came back, is less certain:

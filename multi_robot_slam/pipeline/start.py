@@ -1,12 +1,12 @@
 """Where a robot is at its first frame: the start that was told, and the way it has driven since.
 
 Whatever was told of the start holds at the origin of the robot's odometry, or at its first message;
-its first frame may come later, if the fusion begins late, or if frames were lost. Then (S1)
+its first frame may come later, if the fusion begins late, or if frames were lost. Then (B1)
 
     mean = start (+) way,    covariance = J_start P_start J_start^T + J_way P_way J_way^T
 
 The driver's own covariance is P_way where it can be one. Otherwise that is what (7) says of a
-straight way between its ends (S2), the least that any way is worth: a robot that came back after a
+straight way between its ends (B2), the least that any way is worth: a robot that came back after a
 long drive is less certain than that, and nothing but its driver knows.
 """
 
