@@ -7,6 +7,9 @@ import numpy as np
 
 from multi_robot_slam.models.motion import MotionSettings, increment
 
+STRETCH_S = 0.25
+"""Speeds are means over so long at least; few robots change theirs much within it."""
+
 MEMORY_S = 30.0
 """Speeds count for e times less after so long: a way with some bends in it."""
 
@@ -20,28 +23,65 @@ class Instant(NamedTuple):
 
 
 class Rates(NamedTuple):
-    """Mean and mean square of a robot's speed, (2,) each: along [m/s], backwards below 0, [rad/s].
+    """A robot's speed, along [m/s], backwards below 0, and turn rate [rad/s], (2,) each.
 
-    Weighted by time, and by `MEMORY_S`.
+    Of stretches of `STRETCH_S`, long enough that wheels and stamps hardly err; means over time,
+    weighted by `MEMORY_S`.
     """
 
+    since: Instant
+    """Where the stretch that is not complete began."""
+    last: np.ndarray
+    """Of the last stretch."""
     mean: np.ndarray
     square: np.ndarray
+    """Mean square."""
     weight_s: float
+    changing: np.ndarray
+    """Mean square of their change in a second, as a random walk."""
+    changing_s: float
+    last_s: float
+    """How long the last stretch was; 0: the one before `since` is not known [s]."""
 
-    def also(self, motion: np.ndarray, seconds: float) -> "Rates":
-        """These, after a `motion` (3,) that took `seconds`."""
-        rates = rates_of(motion, seconds)
-        kept_s = self.weight_s * math.exp(-seconds / MEMORY_S)
-        share = seconds / (kept_s + seconds)
+    @classmethod
+    def unknown(cls, since: Instant) -> "Rates":
+        """Of a robot that was never seen to move."""
+        none = np.zeros(2)
+        return cls(since, none, none, none, 0.0, none, 0.0, 0.0)
+
+    @property
+    def variance(self) -> np.ndarray:
+        return np.maximum(self.square - self.mean * self.mean, 0)
+
+    def across(self, now: Instant) -> "Rates":
+        """The same after a gap that ends `now`."""
+        return self._replace(since=now, last_s=0.0)
+
+    def until(self, now: Instant) -> "Rates":
+        """These, when the robot is heard of `now`."""
+        seconds = (now.stamp_ns - self.since.stamp_ns) / 1e9
+        if seconds < STRETCH_S:
+            return self
+        rates = rates_of(increment(self.since.pose, now.pose), seconds)
+        fading = math.exp(-seconds / MEMORY_S)
+        weight_s, changing_s = fading * self.weight_s + seconds, fading * self.changing_s
+        changing = self.changing
+        if self.last_s:
+            apart_s = (seconds + self.last_s) / 2
+            changing_s += seconds
+            change = np.square(rates - self.last) / apart_s
+            changing = changing + seconds / changing_s * (change - changing)
+        share = seconds / weight_s
         return Rates(
+            now,
+            rates,
             self.mean + share * (rates - self.mean),
             self.square + share * (rates * rates - self.square),
-            kept_s + seconds,
+            weight_s,
+            changing,
+            changing_s,
+            seconds,
         )
-
-
-STILL = Rates(np.zeros(2), np.zeros(2), 0.0)
 
 
 def rates_of(motion: np.ndarray, seconds: float) -> np.ndarray:
@@ -87,8 +127,8 @@ class Gap(NamedTuple):
         chord, turn, seconds = *self._moved(), self._seconds
         length, turning = self._way()
         own, before = np.array([chord, turn]) / seconds, self.before
-        spread = before.square - 2 * before.mean * own + own * own
-        along, yaw = np.sqrt(np.maximum(spread, 0) / 8) * seconds  # (G2)
+        wander = np.minimum(before.changing * seconds / 2, 2 * before.variance)
+        along, yaw = np.sqrt(wander + 4 * np.square(own - before.last)) * seconds / 4  # (G2)
         across = length * math.hypot(turn, math.sqrt(8) * yaw) / 8  # (G3)
         forward, left = noise.forward_per_sqrt_m**2, noise.left_per_sqrt_m**2
         by_way, by_turn = noise.yaw_per_sqrt_m**2, noise.yaw_per_sqrt_rad**2

@@ -8,6 +8,10 @@ LONGEST_NS = 60 * 10**9
 """Who is silent for longer was switched off: nothing of that was sent."""
 
 
+LEAST_SHARE = 0.5
+"""Of the messages expected afterwards: fewer are another rate, of which nothing was lost."""
+
+
 class Missing(NamedTuple):
     """Messages that have not come."""
 
@@ -18,11 +22,21 @@ class Missing(NamedTuple):
     messages: int
 
 
+class _Doubted(NamedTuple):
+    """What is missing, and may not be lost."""
+
+    missing: Missing
+    usual_ns: int
+    """How far apart messages were before it."""
+    heard: int
+    """Messages until then."""
+
+
 class Losses:
     """Counts what is missing between the stamps of one stream, whatever their order.
 
     What is missing may still come, or may have come under a wrong stamp: so much is not lost. It is
-    lost once the stream is `patience_ns` further, and still comes as often as before.
+    lost once the stream is `patience_ns` further, and still comes nearly as often as before.
 
     Parameters
     ----------
@@ -36,11 +50,12 @@ class Losses:
         self._intervals = Intervals()
         self._newest_ns = -1
         self._elsewhere = 0
-        self._missing: list[tuple[Missing, int]] = []
-        """And how far apart messages were before it [ns]."""
+        self._heard = 0
+        self._doubted: list[_Doubted] = []
 
     def hear(self, stamp_ns: int) -> list[Missing]:
-        """A message arrived; what is lost since the last one that did."""
+        """A message arrived; what is certain to be lost by now."""
+        self._heard += 1
         if stamp_ns <= self._newest_ns:
             self._find(stamp_ns)
             return []
@@ -62,24 +77,31 @@ class Losses:
         intervals = self._intervals
         interval_ns, usual_ns = between.until_ns - between.after_ns, intervals.usual_ns
         if intervals.are_regular and intervals.longest_ns < interval_ns <= LONGEST_NS:
-            missing = round(interval_ns / usual_ns) - 1
-            count = max(missing - self._elsewhere, 0)
-            self._elsewhere -= missing - count
-            self._missing.append((between._replace(messages=count), usual_ns))
+            places = round(interval_ns / usual_ns) - 1
+            count = max(places - self._elsewhere, 0)
+            self._elsewhere -= places - count
+            missing = between._replace(messages=count)
+            self._doubted.append(_Doubted(missing, usual_ns, self._heard))
         intervals.add(interval_ns)
 
     def _find(self, stamp_ns: int) -> None:
         """One of those that are missing there has come."""
-        for place, (one, usual_ns) in enumerate(self._missing):
+        for place, doubted in enumerate(self._doubted):
+            one = doubted.missing
             if one.after_ns <= stamp_ns <= one.until_ns:
-                self._missing[place] = one._replace(messages=one.messages - 1), usual_ns
+                found = one._replace(messages=one.messages - 1)
+                self._doubted[place] = doubted._replace(missing=found)
                 return
 
     def _lost(self, until_ns: int) -> list[Missing]:
-        """Those until then that came neither late nor at another rate."""
-        due = [own for own in self._missing if own[0].until_ns <= until_ns]
-        self._missing = self._missing[len(due) :]
-        now_ns = self._intervals.usual_ns
-        lost = [one for one, usual_ns in due if one.messages > 0 and now_ns <= 1.5 * usual_ns]
+        """Those until then that came neither late nor, by now, at another rate."""
+        due = [own for own in self._doubted if own.missing.until_ns <= until_ns]
+        self._doubted = self._doubted[len(due) :]
+        lost = [own.missing for own in due if own.missing.messages > 0 and self._goes_on(own)]
         self.total += sum(one.messages for one in lost)
         return lost
+
+    def _goes_on(self, since: _Doubted) -> bool:
+        """Messages have come since then, nearly as often as before."""
+        expected = (self._newest_ns - since.missing.until_ns) / since.usual_ns
+        return self._heard - since.heard >= max(LEAST_SHARE * expected, 1)

@@ -9,7 +9,7 @@ import numpy as np
 from msg_defs.types import PoseSample
 from multi_robot_slam.config import Plausible
 from multi_robot_slam.models.motion import NO_EXTRA, MotionSettings, increment, move, wrap
-from multi_robot_slam.pipeline.gaps import STILL, Gap, Instant, Rates
+from multi_robot_slam.pipeline.gaps import STRETCH_S, Gap, Instant, Rates
 from multi_robot_slam.pipeline.intervals import Intervals
 from multi_robot_slam.pipeline.plausibility import Refusal
 
@@ -247,9 +247,9 @@ class Odometry:
             self._tell(sample, NOT_KEPT)
 
     def _rates_until(self, now: Instant, is_reset: bool) -> Rates:
-        """How fast the robot was; across a gap, which is noted, nobody knows."""
+        """How fast the robot was; what it did in a gap, which is noted, nobody knows."""
         if not self._samples:
-            return STILL
+            return Rates.unknown(now)
         before = self._samples[-1]
         interval_ns = now.stamp_ns - before.stamp_ns
         is_gap = is_reset or interval_ns > self._intervals.longest_ns
@@ -259,8 +259,8 @@ class Odometry:
             self._gaps.append(Gap(start, now, before.rates, is_reset))
             if len(self._gaps) > MOST_GAPS:
                 self._gaps[:2] = [self._gaps[0].with_next(self._gaps[1])]
-            return before.rates
-        return before.rates.also(increment(before.pose, now.pose), interval_ns / 1e9)
+        is_long = is_reset or (is_gap and interval_ns > STRETCH_S * 1e9)
+        return before.rates.across(now) if is_long else before.rates.until(now)
 
     def _reset(self) -> None:
         first = self._doubted[0]

@@ -1,8 +1,10 @@
 """What a gap in the odometry hides: against slow formulas, and against ways driven at random."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from msg_defs.types import PoseSample
@@ -14,7 +16,7 @@ from multi_robot_slam.models.motion import (
     move,
     standard_deviations,
 )
-from multi_robot_slam.pipeline.gaps import STILL, Gap, Instant, Rates
+from multi_robot_slam.pipeline.gaps import Gap, Instant, Rates
 from multi_robot_slam.pipeline.odometry import MOST_GAPS, RESET, Odometry
 
 SECOND = 10**9
@@ -36,12 +38,16 @@ def slow_hidden(gap, begin, end, noise):
     ahead, turn = increment(gap.start.pose, gap.end.pose)[[0, 2]]
     chord = np.hypot(*(gap.end.pose - gap.start.pose)[:2])
     own = np.array([chord if ahead >= 0 else -chord, turn]) / T
-    (mean_v, mean_w), (square_v, square_w) = gap.before.mean, gap.before.square
-    deviation_v = np.sqrt(max(square_v - 2 * mean_v * own[0] + own[0] ** 2, 0))
-    deviation_w = np.sqrt(max(square_w - 2 * mean_w * own[1] + own[1] ** 2, 0))
+    rates = gap.before
+    square_v, square_w = rates.square
+    change_v, change_w = (
+        min(rates.changing[i] * T / 2, 2 * (rates.square[i] - rates.mean[i] ** 2))
+        + (2 * (own[i] - rates.last[i])) ** 2
+        for i in (0, 1)
+    )
     L, A = max(chord, np.sqrt(square_v) * T), max(abs(turn), np.sqrt(square_w) * T)
-    along, yaw = (np.sqrt(2) * d * T / 4 for d in (deviation_v, deviation_w))
-    across = L / 8 * np.sqrt(turn**2 + (deviation_w * T) ** 2)
+    along, yaw = np.sqrt(change_v) * T / 4, np.sqrt(change_w) * T / 4
+    across = L * np.sqrt(turn**2 / 64 + yaw**2 / 8)
     bridge = 4 * (t - s) * (1 - (t - s))
     dx, dy = (gap.end.pose - gap.start.pose)[:2]
     R = rotation(np.arctan2(dy, dx))
@@ -53,9 +59,9 @@ def slow_hidden(gap, begin, end, noise):
     turned = (
         noise.yaw_per_sqrt_m**2 * L + noise.yaw_per_sqrt_rad**2 * A + noise.yaw_per_sqrt_s**2 * T
     )
-    for share in s + (t - s) * (np.arange(2000) + 0.5) / 2000:
+    for share in s + (t - s) * (np.arange(500) + 0.5) / 500:
         x, y = end.pose[:2] - (gap.start.pose + share * (gap.end.pose - gap.start.pose))[:2]
-        total += (t - s) * turned / 2000 * np.outer([-y, x], [-y, x])
+        total += (t - s) * turned / 500 * np.outer([-y, x], [-y, x])
     x, y = (end.pose - begin.pose)[:2]
     total += 4 * s * (1 - s) * yaw**2 * np.outer([-y, x], [-y, x])
     R = rotation(begin.pose[2])
@@ -64,14 +70,22 @@ def slow_hidden(gap, begin, end, noise):
     return np.append(variances, bridge * yaw**2 + (t - s) * more)
 
 
+@settings(max_examples=40)
 @given(
-    POSES, POSES, POSES, POSES, st.tuples(*[st.floats(0, 2)] * 4), st.tuples(*[st.floats(0, 9)] * 2)
+    POSES,
+    POSES,
+    POSES,
+    POSES,
+    st.tuples(*[st.floats(0, 2)] * 8),
+    st.tuples(*[st.floats(0, 9)] * 2),
 )
 def test_what_is_hidden_is_the_slow_formula_s(start, end, first, last, rates, stamps):
-    (mean_v, mean_w, more_v, more_w), (one, other) = rates, sorted(stamps)
-    mean = np.array([mean_v, mean_w])
-    before = Rates(mean, mean**2 + np.square([more_v, more_w]), 1.0)
-    gap = Gap(Instant(3 * SECOND, start), Instant(5 * SECOND, end), before)
+    mean, more, changing, before = np.array(rates).reshape(4, 2)
+    one, other = sorted(stamps)
+    known = Rates.unknown(Instant(0, start))._replace(
+        mean=mean, square=mean**2 + more**2, changing=changing, last=before
+    )
+    gap = Gap(Instant(3 * SECOND, start), Instant(5 * SECOND, end), known)
     instants = Instant(int(one * SECOND), first), Instant(int(other * SECOND) + 1, last)
     expected = slow_hidden(gap, *instants, NOISE)
     covers = min(instants[1].stamp_ns, 5 * SECOND) > max(instants[0].stamp_ns, 3 * SECOND)
@@ -80,16 +94,26 @@ def test_what_is_hidden_is_the_slow_formula_s(start, end, first, last, rates, st
     )
 
 
-@given(st.lists(st.tuples(st.floats(-2, 2), st.floats(-1, 1), st.floats(0.01, 5)), min_size=1))
+@given(st.lists(st.tuples(st.floats(0, 2), st.floats(-1, 1), st.floats(0.3, 5)), min_size=1))
 def test_rates_are_means_over_time_that_fade(moved):
-    rates, weights, values = STILL, np.empty(0), np.empty((0, 2))
+    rates, second, pose = Rates.unknown(Instant(0, np.zeros(3))), 0.0, np.zeros((3, 1))
+    own, lasted = [], []
     for distance, turn, seconds in moved:
-        rates = rates.also(np.array([distance, 0, turn]), seconds)
-        weights = np.append(weights * np.exp(-seconds / 30), seconds)
-        values = np.vstack([values, np.array([distance, turn]) / seconds])
-    weights /= weights.sum()
-    np.testing.assert_allclose(rates.mean, weights @ values, atol=1e-9)
-    np.testing.assert_allclose(rates.square, weights @ values**2, atol=1e-9)
+        second += seconds
+        move(pose, np.array([[distance], [0.0], [turn]]))
+        rates = rates.until(Instant(round(second * 1e9), pose[:, 0].copy()))
+        own.append([distance / seconds, turn / seconds])
+        lasted.append(seconds)
+    own, lasted = np.array(own), np.array(lasted)
+    weights = lasted * np.exp(-(second - np.cumsum(lasted)) / 30)
+    np.testing.assert_allclose(rates.mean, np.average(own, 0, weights), atol=1e-6)
+    np.testing.assert_allclose(rates.square, np.average(own**2, 0, weights), atol=1e-6)
+    np.testing.assert_allclose(rates.last, own[-1], atol=1e-6)
+    if len(own) > 1:
+        changes = np.diff(own, axis=0) ** 2 / ((lasted[1:] + lasted[:-1]) / 2)[:, None]
+        np.testing.assert_allclose(
+            rates.changing, np.average(changes, 0, weights[1:]), rtol=1e-5, atol=1e-6
+        )
 
 
 def odometry(noise=NONE, told=None):
@@ -102,38 +126,43 @@ def feed(taker, stamps_s, poses):
         taker.take(PoseSample("a", round(second * SECOND), np.array(pose, float)))
 
 
-def driven(rng, seconds, each_s=0.01):
-    """A way with bends and stops: poses (T, 3) every 10 ms, speeds that change now and then."""
-    speeds, poses = np.zeros(2), [np.zeros(3)]
-    for _ in range(round(seconds / each_s)):
-        if rng.random() < each_s / 2.0:
-            speeds = np.array([rng.uniform(0, 1) * (rng.random() < 0.8), rng.normal(0, 0.4)])
-        pose = poses[-1][:, None].copy()
-        move(pose, np.array([[speeds[0] * each_s], [0.0], [speeds[1] * each_s]]))
-        poses.append(pose[:, 0])
-    return np.array(poses)
+def driven(rng, steps):
+    """A way with bends and stops: poses (T, 3) every 50 ms, speeds that change every 2 s or so."""
+    at = np.flatnonzero(rng.random(steps) < 0.05 / 2.0)
+    speeds, rates = np.zeros((2, steps))
+    for first, last in pairwise([*at, steps]):
+        speeds[first:last] = rng.uniform(0, 1) * (rng.random() < 0.8)
+        rates[first:last] = rng.normal(0, 0.4)
+    yaws = np.cumsum(np.append(0, rates * 0.05))
+    x, y = (np.cumsum(np.append(0, speeds * 0.05 * f(yaws[:-1]))) for f in (np.cos, np.sin))
+    return np.column_stack([x, y, yaws])
 
 
-@pytest.mark.parametrize("gap_s", [0.2, 1.0, 4.0])
+@pytest.mark.parametrize("missing", [3, 19, 79])
 @pytest.mark.parametrize("share", [0.25, 0.5])
-def test_the_true_pose_within_a_gap_is_as_far_off_as_told(gap_s, share):
-    """Of 400 ways: two sigmas hold at least 90 % of the poses, and are no more than a bound."""
-    rng = np.random.default_rng(int(10 * gap_s + 100 * share))
-    ratios = []
-    for _ in range(400):
-        way = driven(rng, 20 + gap_s)
-        taker, stamps = odometry(), np.append(np.arange(0, 2001, 5), 2000 + round(100 * gap_s))
-        feed(taker, stamps[:401] / 100, way[stamps[:401]])
-        taker.motion_to(20 * SECOND)
-        taker.use()
-        feed(taker, stamps[401:] / 100, way[stamps[401:]])
-        at = 2000 + round(100 * gap_s * share)
-        moved = taker.motion_to(at * SECOND // 100)
-        true = increment(way[2000], way[at])
-        ratios.append(np.abs(true - moved.motion) / np.maximum(moved.extra, 1e-6))
-    within = np.mean(np.array(ratios) < 2, axis=0)
-    assert (within > 0.9).all(), within
-    assert (np.sqrt(np.mean(np.square(ratios), axis=0)) > 0.1).all()
+def test_the_true_pose_within_a_gap_is_as_far_off_as_told(missing, share):
+    """Of 100 ways: two sigmas hold at least 90 % of the poses, and all in all they are no wider.
+
+    They must hold whoever changes speed as seldom, hence are wider than one kind of way needs.
+    """
+    rng = np.random.default_rng(missing)
+    first, last = 200, 200 + missing + 1
+    at = first + round(share * (last - first))
+    errors, told = [], []
+    for _ in range(100):
+        way = driven(rng, last)
+        taker = odometry()
+        feed(taker, np.arange(first + 1) / 20, way[: first + 1])
+        taker.motion_to(first * SECOND // 20)
+        feed(taker, [last / 20], way[last:])
+        moved = taker.motion_to(at * SECOND // 20)
+        errors.append(increment(way[first], way[at]) - moved.motion)
+        told.append(np.maximum(moved.extra, 1e-6))
+    errors, told = np.abs(errors), np.array(told)
+    within = np.mean(errors < 2 * told, axis=0)
+    assert (within >= 0.9).all(), within
+    widths = np.sqrt(np.mean(np.square(told), axis=0) / np.mean(np.square(errors), axis=0))
+    assert ((widths > 0.8) & (widths < 5)).all(), widths
 
 
 def test_at_the_samples_themselves_a_gap_hides_nothing_of_wheels_without_noise():
@@ -143,7 +172,7 @@ def test_at_the_samples_themselves_a_gap_hides_nothing_of_wheels_without_noise()
     taker.motion_to(3 * SECOND)
     moved = taker.motion_to(round(6.1 * SECOND))
     np.testing.assert_allclose(moved.extra, 0, atol=1e-6)
-    assert (taker.motion_to(5 * SECOND).extra[:2] > 0.01).all()
+    assert taker.motion_to(5 * SECOND).extra[1] > 0.01
 
 
 def test_noise_of_a_straight_way_in_one_go_is_that_of_its_small_steps():
@@ -154,12 +183,12 @@ def test_noise_of_a_straight_way_in_one_go_is_that_of_its_small_steps():
     taker.motion_to(round(2.9 * SECOND))
     motion, seconds, extra = taker.motion_to(round(12.9 * SECOND))
     told = standard_deviations(motion, seconds, NOISE, extra)
-    ends = np.zeros((3, 4000))
+    ends = np.zeros((3, 2000))
     step = np.array([0.01, 0.0, 0.0])
     sigma = standard_deviations(step, 0.01, NOISE)[:, None]
     for _ in range(1000):
         move(ends, step[:, None] + sigma * rng.standard_normal(ends.shape))
-    np.testing.assert_allclose(told, ends.std(axis=1), rtol=0.05)
+    np.testing.assert_allclose(told, ends.std(axis=1), rtol=0.07)
 
 
 @pytest.mark.parametrize("bend", [0.1, 0.3])
@@ -246,9 +275,4 @@ def test_gaps_without_number_are_taken_for_longer_ones():
         feed(one, np.array(own) / 10, [(0.01 * k, 0, 0) for k in own])
         one.motion_to(2 * SECOND)
     assert len(taker._gaps) == MOST_GAPS
-    begin, end = (
-        Instant(SECOND * 2, np.array([0.2, 0, 0])),
-        Instant(399 * SECOND, np.array([39.9, 0, 0])),
-    )
     assert (taker.motion_to_newest().extra[:2] > few.motion_to_newest().extra[:2]).all()
-    assert begin.stamp_ns < end.stamp_ns
