@@ -153,9 +153,13 @@ class Landmarks:
         order = np.argsort(self.ids[columns])
         return columns[order[np.searchsorted(self.ids[columns], ids, sorter=order)]]
 
+    def rows_of(self, columns: np.ndarray, particles: np.ndarray) -> np.ndarray:
+        """(N, n): where the planes of `columns` (N,) have what the particles (n,) hold."""
+        return self._rows[self._generations[columns][:, None], particles]
+
     def planes_of(self, columns: np.ndarray, particles: np.ndarray) -> np.ndarray:
         """(N, 9, n): a copy of what the particles (n,) hold in `columns` (N,)."""
-        rows = self._rows[self._generations[columns]][:, particles]
+        rows = self.rows_of(columns, particles)
         return self.planes[columns[:, None], :, rows].transpose(0, 2, 1)
 
     def of_particle(self, particle: int) -> tuple[np.ndarray, np.ndarray]:

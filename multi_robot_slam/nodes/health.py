@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from msg_defs import wire
-from msg_defs.types import FrameCount, StepRecord
+from msg_defs.types import FrameCount, StepRecord, Verdict
 from multi_robot_slam.pipeline.pipeline import FAILED_STEP
 
 
@@ -33,6 +33,7 @@ class Health:
     def start_over(self) -> None:
         """Forget the steps."""
         self.landmarks = 0
+        self._verdicts: dict[str, Verdict] = {}
         self.step: StepRecord | None = None
         self._frames_told = 0
         self._failed_told = 0
@@ -45,6 +46,7 @@ class Health:
     def note(self, step: StepRecord, lost: int) -> None:
         """A step was done, and so much was lost by then."""
         self.step = step
+        self._verdicts |= {verdict.robot: verdict for verdict in step.verdicts}
         self._forgive(lost)
 
     def progress(self) -> str:
@@ -129,10 +131,16 @@ class Health:
         silence_s = self._clock() - self._heard_s[robot]
         is_silent = silence_s > self._silent_s
         level, message = (wire.WARN, "silent") if is_silent else (wire.OK, "heard")
+        verdict = self._verdicts.get(robot)
+        judged = {} if verdict is None else wire.verdict_values(verdict)
+        if verdict is not None and wire.LEVELS[verdict.level] >= max(level, wire.WARN):
+            level = wire.LEVELS[verdict.level]
+            message = f"{verdict.level}: {verdict.cause}; {verdict.remedy}"
         values = {
             "last heard [s ago]": f"{silence_s:.1f}",
             "frames": frames.seen,
             "keyframes": frames.used,
+            **judged,
         }
         return wire.Status(f"fusion: {robot}", _texts(values), level, message, robot)
 

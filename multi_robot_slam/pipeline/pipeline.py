@@ -30,7 +30,9 @@ from multi_robot_slam.filter.rejuvenation import FAILURES
 from multi_robot_slam.filter.running import ParticleFilter
 from multi_robot_slam.models import motion
 from multi_robot_slam.models.frames import Record, RobotFrame
+from multi_robot_slam.monitor.monitor import Monitor
 from multi_robot_slam.pipeline import estimates, plausibility
+from multi_robot_slam.pipeline.levels import Levels
 from multi_robot_slam.pipeline.plausibility import Refusal
 from multi_robot_slam.pipeline.records import step_record
 from multi_robot_slam.pipeline.reorder import Reorder
@@ -68,6 +70,13 @@ class Pipeline:
             np.random.default_rng(config.seed),
             keeps_frames,
         )
+        self._monitor = Monitor(
+            config.robots,
+            np.array(config.start_poses),
+            [config.mount_of(robot) for robot in range(len(config.robots))],
+            config.filter,
+        )
+        self._levels = Levels(warn)
         self._guard = TimeGuard(config.apart_ns, self._drop_far_ahead)
         self._reorder = Reorder(config, self._drop, self._opened, self.lose)
         self._estimates: dict[str, Estimate] = {}
@@ -200,6 +209,7 @@ class Pipeline:
         for frames in instants:
             start = time.perf_counter()
             try:
+                expected = self._monitor.expect(self._particles.state, frames)
                 info = self._particles.step(frames)
             except FAILURES as error:
                 self._tell_of_failure(frames, error)
@@ -207,8 +217,11 @@ class Pipeline:
             self._reorder.use(frames)
             for reason in info.rejuvenated.failures if info.rejuvenated else ():
                 self._tell_of_no_smoothing(frames[0].stamp_ns, reason)
+            verdicts = self._monitor.judge(frames, info, expected)
+            self._levels.tell(frames[0].stamp_ns, verdicts)
             took_ms = (time.perf_counter() - start) * 1e3
-            steps.append(step_record(self.config, self._particles.state, frames, info, took_ms))
+            state = self._particles.state
+            steps.append(step_record(self.config, state, frames, info, verdicts, took_ms))
             self._estimates |= {estimate.robot: estimate for estimate in steps[-1].estimates}
         return steps
 

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from msg_defs.types import Estimate, FrameRecord, StepRecord
+from msg_defs.types import Estimate, FrameRecord, StepRecord, Verdict
 from multi_robot_slam.config import Config
 from multi_robot_slam.filter import rbpf
 from multi_robot_slam.filter.matching import FrameInfo
@@ -18,6 +18,7 @@ def step_record(
     state: State,
     frames: Sequence[RobotFrame],
     info: rbpf.StepInfo,
+    verdicts: tuple[Verdict, ...],
     duration_ms: float,
 ) -> StepRecord:
     """The record of a step over `frames` that led to `state`."""
@@ -44,6 +45,7 @@ def step_record(
         resampled=info.ancestors is not None,
         rejuvenated=_rejuvenated(info),
         duration_ms=duration_ms,
+        verdicts=verdicts,
     )
 
 

@@ -1,0 +1,104 @@
+"""The monitor of a team: what each frame says of what the filter assumes.
+
+It reads the state before a step and what the step made of the frames; it changes nothing and draws
+nothing, and all it says follows from these. So a run that is repeated is judged alike.
+"""
+
+from bisect import bisect_right
+from collections.abc import Sequence
+
+import numpy as np
+
+from msg_defs.types import CameraMount, Verdict
+from multi_robot_slam.filter.rbpf import StepInfo
+from multi_robot_slam.filter.settings import FilterSettings
+from multi_robot_slam.filter.state import State
+from multi_robot_slam.models.frames import RobotFrame
+from multi_robot_slam.monitor.in_view import InView
+from multi_robot_slam.monitor.innovations import Innovations
+from multi_robot_slam.monitor.predictions import Predictions, predict
+from multi_robot_slam.monitor.recognition import Recognition
+from multi_robot_slam.monitor.verdicts import Findings, blamed, verdict
+
+
+class Monitor:
+    """Watches the frames of K robots.
+
+    Parameters
+    ----------
+    names : of the robots.
+    start_poses : (K, 3) as configured: x, y [m], yaw [rad] in `map`.
+    cameras : where the camera of each sits.
+
+    """
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        start_poses: np.ndarray,
+        cameras: Sequence[CameraMount],
+        settings: FilterSettings,
+    ) -> None:
+        self._settings = settings
+        self._findings = [
+            Findings(
+                name,
+                start,
+                Innovations(settings.gate),
+                InView(camera, settings.descriptor_gate),
+                [Recognition(settings.gate) for _ in names],
+            )
+            for name, start, camera in zip(names, start_poses, cameras, strict=True)
+        ]
+        self._first_ids: list[int] = []
+        """Of the landmarks that each frame may have created; those of later frames are larger."""
+        self._creators: list[int] = []
+        """The robot of each of these frames."""
+        self._old_before = [0] * len(self._findings)
+        """For each robot the id below which landmarks are older than what is held against it."""
+
+    def expect(self, state: State, frames: Sequence[RobotFrame]) -> list[Predictions]:
+        """What `state` expects of the frames of a step that is not done yet.
+
+        Nothing where particles are not rejuvenated: they are few draws then, descend from fewer,
+        and how they spread says too little of how uncertain they are.
+        """
+        if self._settings.rejuvenation.ancestors_below == 0:
+            return [Predictions.none()] * len(frames)
+        return [predict(state, frame, self._settings) for frame in frames]
+
+    def judge(
+        self, frames: Sequence[RobotFrame], info: StepInfo, predicted: Sequence[Predictions]
+    ) -> tuple[Verdict, ...]:
+        """The verdict on the robot of each frame, now that the step was done."""
+        for frame, seen, own in zip(frames, predicted, info.frames, strict=True):
+            self._note(frame, seen)
+            self._note_created(frame.robot, own.new_ids)
+        wrong = blamed(self._findings)
+        return tuple(verdict(self._findings, frame.robot, wrong) for frame in frames)
+
+    def _note(self, frame: RobotFrame, seen: Predictions) -> None:
+        found = self._findings[frame.robot]
+        found.innovations.note(seen)
+        is_lost_now = found.in_view.note(frame)
+        own = found.recognised[frame.robot]
+        if is_lost_now or not (own.evidence.log or found.in_view.evidence.log):
+            self._old_before[frame.robot] = seen.next_id
+        creators = np.array([self._creator(number) for number in seen.ids], int)
+        is_old = (creators != frame.robot) | (seen.ids < self._old_before[frame.robot])
+        for robot, recognition in enumerate(found.recognised):
+            recognition.note(seen.only(is_old & (creators == robot)).oldest())
+        found.in_view.confirm(seen.only(is_old).oldest())
+
+    def _note_created(self, robot: int, new_ids: np.ndarray) -> None:
+        if not len(new_ids):
+            return
+        while self._first_ids and self._first_ids[-1] >= new_ids[0]:
+            self._first_ids.pop()
+            self._creators.pop()
+        self._first_ids.append(int(new_ids[0]))
+        self._creators.append(robot)
+
+    def _creator(self, landmark: int) -> int:
+        """The robot whose observation created a landmark."""
+        return self._creators[bisect_right(self._first_ids, landmark) - 1]
