@@ -60,20 +60,26 @@ def picture_topics(robot: str, transport: Transport) -> list[Topic]:
 
 def of_step(step: RobotStep) -> list[Message]:
     """What the robot reports, then the truth about it."""
-    name = step.odometry.robot
-    return [
-        _odometry(step),
-        (topics.observations(name), wire.encode_observations(step.observations)),
-        _ground_truth(step),
-        (
-            topics.observation_truth(name),
-            wire.encode_observation_truth(step.observation_truth),
-        ),
-    ]
+    said, truth = reported(step), [_ground_truth(step)]
+    if step.observation_truth is not None:
+        topic = topics.observation_truth(step.odometry.robot)
+        truth.append((topic, wire.encode_observation_truth(step.observation_truth)))
+    return said + truth
+
+
+def reported(step: RobotStep) -> list[Message]:
+    """What the robot reports: odometry and, with a frame, landmarks."""
+    said = [_odometry(step)]
+    if step.observations is not None:
+        topic = topics.observations(step.odometry.robot)
+        said.append((topic, wire.encode_observations(step.observations)))
+    return said
 
 
 def with_pictures(step: RobotStep, renderer: "Renderer", transport: Transport) -> list[Message]:
     """The same with pictures and their calibration instead of landmarks."""
+    if step.observations is None:
+        return of_step(step)
     name, stamp_ns = step.odometry.robot, step.odometry.stamp_ns
     scenario, frame = renderer.scenario, topics.camera_frame(name)
     infos = camera_infos(name, stamp_ns, scenario.camera)

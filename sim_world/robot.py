@@ -24,9 +24,15 @@ class RobotStep:
     """All that one robot reports at one instant, and the truth about it."""
 
     odometry: PoseSample
-    observations: ObservationSet
+    observations: ObservationSet | None
+    """None between two frames."""
     truth: PoseSample
-    observation_truth: ObservationTruth
+    observation_truth: ObservationTruth | None
+
+    @property
+    def events(self) -> list[PoseSample | ObservationSet]:
+        """What of it is reported, in this order."""
+        return [self.odometry] if self.observations is None else [self.odometry, self.observations]
 
 
 class Path(Protocol):
@@ -50,14 +56,17 @@ def steps(
 
     Odometry and camera have random streams of their own: observing more or less leaves the
     odometry as it is.
+
+    Odometry is reported at each pose, a frame at every `scenario.odometry_per_frame`-th.
     """
     wheels, camera = (np.random.default_rng(s) for s in seed.spawn(2))
-    stamps = stamps_ns(len(path), scenario.period_s)
+    stamps = stamps_ns(len(path), scenario.odometry_period_s)
     odometry = odometry_samples(name, path, stamps, scenario, wheels)
-    truth = true_samples(name, path, stamps, scenario.period_s)
-    for moved, true in zip(odometry, truth, strict=True):
-        observations, landmarks = observe(true, world, scenario, camera)
-        yield RobotStep(moved, observations, true, landmarks)
+    truth = true_samples(name, path, stamps, scenario.odometry_period_s)
+    for i, (moved, true) in enumerate(zip(odometry, truth, strict=True)):
+        is_frame = i % scenario.odometry_per_frame == 0
+        seen, landmarks = observe(true, world, scenario, camera) if is_frame else (None, None)
+        yield RobotStep(moved, seen, true, landmarks)
 
 
 def movement_variances(movement: np.ndarray, noise: OdometryNoise) -> np.ndarray:
@@ -99,7 +108,8 @@ def odometry_samples(
         variances = movement_variances(measured, scenario.odometry)
         covariance = propagate(covariance, pose, measured, variances)
         pose = compose(pose, measured)
-        yield PoseSample(name, stamp, pose, measured[[0, 2]] / scenario.period_s, covariance)
+        twist = measured[[0, 2]] / scenario.odometry_period_s
+        yield PoseSample(name, stamp, pose, twist, covariance)
 
 
 def true_samples(

@@ -124,7 +124,7 @@ class SimWorld(EdgeNode):
         self._next = next(self._steps, None)
         self._published = 0
         most = MOST_PICTURES_IN_FLIGHT if images.enabled else MOST_IN_FLIGHT
-        self._most_in_flight = min(most, int(IN_FLIGHT_S / scenario.period_s))
+        self._most_in_flight = min(most, int(IN_FLIGHT_S / scenario.odometry_period_s))
         self._started_s: float | None = None
 
     def work(self) -> float:

@@ -58,6 +58,11 @@ class Scenario:
         "rounds of the tour that the team makes, T movements each",
     ] = 1
     period_s: Annotated[float, Ge(0.001), "time between two frames of a robot [s]"] = 0.5
+    odometry_per_frame: Annotated[
+        int,
+        Interval(ge=1, le=1000),
+        "odometry samples for each frame, evenly spread; wheels report more often than cameras",
+    ] = 1
     camera: StereoCamera = field(default_factory=StereoCamera)
     d_max_m: Annotated[float, Gt(0), "greatest distance of an observed landmark [m]"] = 10.0
     observations: Annotated[
@@ -73,6 +78,11 @@ class Scenario:
         str, "file made by `sim_world descriptors`; empty is the one shipped"
     ] = ""
     images: ImageSettings = field(default_factory=ImageSettings)
+
+    @property
+    def odometry_period_s(self) -> float:
+        """Time between two odometry samples of a robot."""
+        return self.period_s / self.odometry_per_frame
 
     @property
     def names(self) -> tuple[str, ...]:

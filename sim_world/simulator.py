@@ -36,7 +36,11 @@ class Simulation:
             require_level(scenario.camera, world.HEIGHT_M)
         self._world = world.build(scenario)
         parts = trajectories.poses(
-            scenario.trajectory, scenario.robots, scenario.movements, scenario.start_offset
+            scenario.trajectory,
+            scenario.robots,
+            scenario.movements,
+            scenario.start_offset,
+            scenario.odometry_per_frame,
         )
         self._index = {n: i for i, n in enumerate(scenario.names) if only in (None, n)}
         self._drives = {
@@ -75,7 +79,7 @@ class Simulation:
     def truth_path(self, name: str) -> Trajectory:
         """The true path of a robot."""
         path = np.array([*self._drives[name]])
-        stamps = robot.stamps_ns(len(path), self.scenario.period_s)
+        stamps = robot.stamps_ns(len(path), self.scenario.odometry_period_s)
         return Trajectory(np.array(stamps, np.int64), path)
 
     def steps(self) -> Iterator[tuple[RobotStep, ...]]:

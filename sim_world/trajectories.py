@@ -39,17 +39,21 @@ TOURS = {
 """Name -> corners [m] of a tour that ends where it begins, each corner turning by less than pi."""
 
 
-def poses(tour: str, robots: int, movements: int, start_offset: float = 0.0) -> np.ndarray:
-    """(K, T//K + 1, 3) true poses x [m], y [m], yaw [rad] of K robots that share a tour.
+def poses(
+    tour: str, robots: int, movements: int, start_offset: float = 0.0, samples: int = 1
+) -> np.ndarray:
+    """(K, n + 1, 3) true poses x [m], y [m], yaw [rad] of K robots that share a tour.
 
     The tour, begun at `start_offset` (0..1) of its duration, is cut into K equal parts, and each
-    part into T//K movements of equal duration. A part ends at the pose where the next one begins.
+    part into T//K movements of equal duration, each of which ends the last of so many `samples`:
+    n = T//K samples. A part ends at the pose where the next one begins.
     """
     each = movements // robots
     if not each:
         raise InputError(
             f"movements = {movements} for robots = {robots}: give at least one movement per robot"
         )
+    each *= samples
     share = start_offset + np.arange(robots * each + 1) / (robots * each)
     path = _resample(tour, share)
     return np.stack([path[k * each : (k + 1) * each + 1] for k in range(robots)])

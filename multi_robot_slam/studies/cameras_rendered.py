@@ -164,8 +164,8 @@ def _simulated(
     simulation: Simulation, instants: list[tuple[RobotStep, ...]], config: Config
 ) -> Session:
     steps = [step for instant in instants for step in instant]
-    events: list[Event] = [e for step in steps for e in (step.odometry, step.observations)]
-    truths = [step.observation_truth for step in steps]
+    events: list[Event] = [event for step in steps for event in step.events]
+    truths = [truth for step in steps if (truth := step.observation_truth)]
     known = {(truth.robot, truth.stamp_ns): truth.landmarks for truth in truths}
     recorded = replace(_recorded(simulation, steps), true_landmarks=simulation.landmarks)
     return Session(config, events, replace(recorded, observation_truth=known))

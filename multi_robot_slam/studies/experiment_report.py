@@ -31,7 +31,9 @@ def _draw_run(name: str, base: Base, trial: Trial, folder: Path) -> list[Path]:
     else:
         halfway = explored.instants[len(explored.instants) // 2]
         mount = explored.scenario.camera.mount
-        views = [figures.view(r.truth.pose, r.observations, mount) for r in halfway]
+        views = [
+            figures.view(r.truth.pose, r.observations, mount) for r in halfway if r.observations
+        ]
         particles = {robot: pipeline.particles(robot) for robot in run.robots}
         sheets = {
             "fig3a": figures.world_figure(run, views),

@@ -89,20 +89,19 @@ def estimate(
     pipeline = Pipeline(configure(exploration, exploration.keyframe, filter_settings))
     pipeline.warm_up()
     sent = (
-        event
-        for instant in exploration.instants
-        for robot in instant
-        for event in (robot.odometry, robot.observations)
+        event for instant in exploration.instants for robot in instant for event in robot.events
     )
     predictions = runs.Predictions()
     steps = offline.run_through(pipeline, sent, on_prediction=predictions.add)
-    run = offline.assemble(pipeline, _recorded(exploration), steps, predictions)
+    run = offline.assemble(pipeline, recorded(exploration), steps, predictions)
     return run, pipeline
 
 
-def _recorded(exploration: Exploration) -> runs.Recorded:
+def recorded(exploration: Exploration) -> runs.Recorded:
+    """What is known of it beside the estimate: odometry, and the truth."""
+    """What of it is known beside estimates: odometry and truth."""
     by_robot = list(zip(*exploration.instants, strict=True))
-    truths = [robot.observation_truth for steps in by_robot for robot in steps]
+    truths = [t for steps in by_robot for robot in steps if (t := robot.observation_truth)]
     return runs.Recorded(
         odometry={
             steps[0].odometry.robot: runs.trajectory(step.odometry for step in steps)

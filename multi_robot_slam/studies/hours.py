@@ -274,7 +274,8 @@ class _Optimum:
         for step in instant:
             key = step.truth.robot, step.truth.stamp_ns
             self._truth[key] = step.truth.pose
-            self._associations[key] = step.observation_truth.landmarks
+            if step.observation_truth is not None:
+                self._associations[key] = step.observation_truth.landmarks
 
     def hear(self, taken: Taken) -> None:
         """What came of a message."""

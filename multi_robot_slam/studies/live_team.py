@@ -37,7 +37,7 @@ def team(scenario: Scenario, robots: int, rate_hz: float, seconds: float) -> Sce
 
 def sent(instant: tuple[RobotStep, ...]) -> list[Message]:
     """What a team sends to its fusion at one instant."""
-    return [message for step in instant for message in messages.of_step(step)[:2]]
+    return [message for step in instant for message in messages.reported(step)]
 
 
 class Spent(NamedTuple):
@@ -121,5 +121,5 @@ def _other_threads() -> float:
 
 def instants(simulation: Simulation, seconds: float) -> Iterator[tuple[RobotStep, ...]]:
     """The first `seconds` of a simulation."""
-    count = round(seconds / simulation.scenario.period_s)
+    count = round(seconds / simulation.scenario.odometry_period_s)
     return (instant for _, instant in zip(range(count), simulation.steps(), strict=False))

@@ -9,8 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from msg_defs.types import CameraMount, PoseSample, StereoCamera
-from sim_world import planar, robot, stereo, trajectories, world
+from sim_world import messages, planar, robot, stereo, trajectories, world
 from sim_world.scenario import OdometryNoise, Scenario
+from sim_world.simulator import Simulation
 
 EXACT = OdometryNoise(0.0, 0.0, 0.0, 0.0)
 POSE = np.array([15.0, 8.0, np.pi / 2])
@@ -229,3 +230,33 @@ def test_points_measured_behind_or_in_the_camera_are_discarded(built, rng):
     for seen, truth in frames:
         assert len(truth.landmarks) == len(seen.positions) == len(seen.descriptors)
         assert (seen.positions[:, 2] > 0.1).all()
+
+
+def test_odometry_is_more_frequent_than_frames_where_it_is_wanted():
+    every = Scenario(robots=2, movements=40)
+    often = replace(every, odometry_per_frame=4)
+    sparse, dense = ([*Simulation(s, 5).steps()] for s in (every, often))
+    assert len(dense) == 4 * (len(sparse) - 1) + 1
+    for i, instant in enumerate(dense):
+        assert all((step.observations is None) == bool(i % 4) for step in instant)
+        assert [len(step.events) for step in instant] == [1 if i % 4 else 2] * 2
+    for frame, same in zip(sparse, dense[::4], strict=True):
+        for one, other in zip(frame, same, strict=True):
+            assert one.truth.stamp_ns == other.truth.stamp_ns
+            np.testing.assert_allclose(one.truth.pose, other.truth.pose, atol=1e-9)
+            np.testing.assert_allclose(
+                one.observations.positions, other.observations.positions, atol=1e-5
+            )
+            np.testing.assert_array_equal(
+                one.observation_truth.landmarks, other.observation_truth.landmarks
+            )
+    path = Simulation(often, 5).truth_path("robot_1")
+    assert path.stamps_ns.tolist() == [step[0].odometry.stamp_ns for step in dense]
+
+
+def test_between_frames_a_robot_says_its_odometry_alone():
+    simulation = Simulation(Scenario(robots=1, movements=4, odometry_per_frame=2), 0)
+    said = [[topic.name for topic, _ in messages.of_step(step)] for (step,) in simulation.steps()]
+    assert [len(names) for names in said] == [4, 2] * 4 + [4]
+    assert said[1] == [said[0][0], said[0][2]]
+    assert [len(messages.reported(step)) for (step,) in simulation.steps()] == [2, 1] * 4 + [2]
