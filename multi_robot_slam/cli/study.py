@@ -169,6 +169,51 @@ def accuracy(
 
 
 @app.command()
+def hard(
+    rows: Annotated[
+        str | None, typer.Option(help="Only these worlds, with commas between: swapped,slip.")
+    ] = None,
+    seeds: Annotated[int, typer.Option(min=1, help="Runs of each world and team.")] = 10,
+    robots: Annotated[str, typer.Option(help="Sizes of the teams: 2,3.")] = "2,3",
+    exact: Annotated[
+        int | None,
+        typer.Option(metavar="N", min=1, help="Instead: N runs in the exact world."),
+    ] = None,
+    first_seed: FirstSeed = 0,
+    processes: Processes = None,
+    scheduler: Scheduler = None,
+    out: TableFolder = Path("runs/hard"),
+) -> None:
+    """What becomes of the estimate when the world is not as the fusion is told, and who says so.
+
+    Starts that are off, other noise, gaps, losses, outliers, landmarks that move, late and
+    restarted programs, wheels that slip: each world differs in one thing, and its runs are held
+    to those of the same team in the exact world. Prints and writes, for each world and team, the
+    ratio of errors, NEES, the map, what was said and when, and every run that was wrong and silent.
+    Rows are written as they finish: an interrupted study goes on where it stopped.
+    """
+    from multi_robot_slam.studies import accuracy, hard_table, hard_worlds
+    from multi_robot_slam.studies import hard as hard_study
+
+    teams = hard_study.teams_of(robots)
+    worlds = hard_worlds.worlds_of(rows) if rows else tuple(hard_worlds.WORLDS)
+    if exact is not None:
+        worlds, seeds = (hard_worlds.EXACT,), -(-exact // len(teams))
+    with countdown(LONG_S) as progress:
+        task = progress.add_task("hard worlds", total=None)
+        found = hard_study.study(
+            out,
+            accuracy.calibrated(),
+            worlds,
+            teams,
+            range(first_seed, first_seed + seeds),
+            _execution(processes, scheduler),
+            lambda done, total: progress.update(task, completed=done, total=total),
+        )
+    typer.echo(hard_table.markdown(found))
+
+
+@app.command()
 def real(
     folder: Annotated[Path, typer.Argument(help="Folder of a UTIAS MRCLAM recording.")],
     seeds: Annotated[int, typer.Option(min=1, help="Runs of each set-up.")] = 10,

@@ -35,7 +35,7 @@ def published_errors(run: Run) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """
     found = {}
     for name, robot in run.robots.items():
-        stamps, means, covariances = _published_means(run, name)
+        stamps, means, covariances = published_means(run, name)
         if robot.truth is None:
             found[name] = means[:0], covariances[:0]
             continue
@@ -46,7 +46,11 @@ def published_errors(run: Run) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     return found
 
 
-def _published_means(run: Run, name: str) -> Estimates:
+def published_means(run: Run, name: str) -> Estimates:
+    """The means of the robot `name` as published: at its steps, and between where they are.
+
+    In no order; of one stamp there is one.
+    """
     estimates = [
         estimate
         for step in run.steps

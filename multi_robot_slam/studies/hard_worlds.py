@@ -1,0 +1,111 @@
+"""The worlds of the study: the exact one, and each with one difference from what is told."""
+
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+
+from msg_defs.errors import InputError
+from multi_robot_slam.studies import experiment_grid, exploration
+from multi_robot_slam.studies import hard_changes as changes
+from multi_robot_slam.studies.accuracy_table import REJUVENATED
+from multi_robot_slam.studies.exploration import Base
+from multi_robot_slam.studies.hard_changes import Change, Told
+
+ODOMETRY_PER_FRAME = 10
+"""Frames at 2 Hz, as in the scenario, and odometry at 20 Hz."""
+
+EXACTS = EXACT, EXACT_CERTAIN, EXACT_TWICE = "exact", "exact-certain", "exact-2-rounds"
+NEAR, FAR = (0.05, 2.0), (0.3, 10.0)
+"""How far a start is off [m, degrees]."""
+FAR_SIGMA = (0.3, 0.175)
+"""The same as it is told [m, rad]."""
+
+Judged = Literal["published", "aligned", "later"]
+
+
+@dataclass(frozen=True)
+class World:
+    """How a world differs from the exact one, and what of its runs is judged."""
+
+    change: Change = changes.nothing
+    simulated: Mapping[str, Any] = field(default_factory=dict)
+    """What the simulation itself has otherwise: fields of `Trial`."""
+    rounds: int = 1
+    """Of the tour: runs in which something happens after a minute are longer."""
+    judged: Judged = "published"
+    """All poses as published; after the team was aligned; or 10 s after the difference began."""
+    has_optimum: bool = False
+    """Also compared with the filtering optimum."""
+
+
+WORLDS: dict[str, World] = {
+    EXACT: World(),
+    EXACT_CERTAIN: World(changes.certain),
+    "start-near": World(changes.start_off(1, *NEAR)),
+    "start-far-told": World(changes.start_off(1, *FAR, FAR_SIGMA)),
+    "first-near": World(changes.start_off(0, *NEAR), judged="aligned"),
+    "first-far-told": World(changes.start_off(0, *FAR, FAR_SIGMA), judged="aligned"),
+    "start-far": World(changes.start_off(1, *FAR)),
+    "swapped": World(changes.starts_swapped),
+    "odometry-3": World(changes.odometry_noise(3.0)),
+    "odometry-third": World(changes.odometry_noise(1 / 3)),
+    "camera-3": World(changes.camera_noise(3.0)),
+    "camera-third": World(changes.camera_noise(1 / 3)),
+    "odometry-biased": World(changes.odometry_biased),
+    "silent": World(changes.silent),
+    "lost-messages": World(changes.lost(0.3)),
+    "no-odometry": World(changes.without_odometry),
+    "random-descriptors": World(changes.random_descriptors(0.05)),
+    "random-positions": World(changes.random_positions(0.05)),
+    "mixture": World(
+        changes.in_turn(
+            changes.random_descriptors(0.03),
+            changes.random_positions(0.03),
+            changes.lost(0.1),
+            changes.jittered,
+        )
+    ),
+    "descriptor-noise": World(simulated={"descriptor_noise": 0.012}, has_optimum=True),
+    "short-sight": World(simulated={"d_max_m": 5.0}, has_optimum=True),
+    "few-observations": World(simulated={"observations": 5}, has_optimum=True),
+    "robot-late": World(changes.robot_late(20.0), judged="later"),
+    "fusion-restarted": World(changes.fusion_restarted, judged="later"),
+    "robot-restarted": World(changes.robot_restarted, judged="later"),
+    "slip": World(changes.slipped),
+    "carried": World(changes.carried),
+    EXACT_TWICE: World(rounds=2),
+    "landmarks-moved": World(changes.landmarks_moved, rounds=2),
+    "fusion-late": World(changes.fusion_late(60.0), rounds=2, judged="later"),
+}
+"""By name, in the order of the table."""
+
+
+def worlds_of(names: str) -> tuple[str, ...]:
+    """Worlds from text such as swapped,slip."""
+    chosen = tuple(dict.fromkeys(names.split(",")))
+    if unknown := [name for name in chosen if name not in WORLDS]:
+        raise InputError(f"no row '{unknown[0]}'; there are {', '.join(WORLDS)}")
+    return chosen
+
+
+def exact_of(name: str) -> str:
+    """The exact world that a world is compared with: that of as many rounds."""
+    return EXACT if WORLDS[name].rounds == 1 else EXACT_TWICE
+
+
+def of_seed(base: Base, name: str, robots: int, seed: int) -> Told:
+    """What the team of a seed sends in a world, and what is true."""
+    world = WORLDS[name]
+    trial = experiment_grid.usual(base, robots, "informed", seed)
+    scenario = replace(base.scenario, odometry_per_frame=ODOMETRY_PER_FRAME, laps=world.rounds)
+    explored = exploration.explore(
+        replace(base, scenario=scenario), replace(trial, **world.simulated)
+    )
+    config = exploration.configure(explored, base.keyframe, base.filters[REJUVENATED])
+    events = tuple(e for instant in explored.instants for step in instant for e in step.events)
+    told = Told(explored.scenario, config, events, exploration.recorded(explored), config.robots)
+    rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
+    return world.change(told, rng)
