@@ -19,6 +19,7 @@ from multi_robot_slam.studies import (
     table,
 )
 from multi_robot_slam.studies.exploration import Base
+from multi_robot_slam.studies.hard_changes import Told
 from multi_robot_slam.studies.hard_figures import Outcome
 from multi_robot_slam.studies.hard_table import Key, Row, key_of
 from multi_robot_slam.studies.hard_worlds import WORLDS
@@ -94,17 +95,23 @@ def _jobs(base: Base, keys: Sequence[Key]) -> list[Job]:
 def compute(job: Job) -> list[Row]:
     """Simulate the team in each world, and estimate."""
     with_optimum = any(WORLDS[name].has_optimum for name in job.worlds)
-    exact = run(job, job.exact, with_optimum)
+    told = {
+        name: hard_worlds.simulated(job.base, name, job.robots, job.seed)
+        for name in {hard_worlds.simulation_of(name) for name in (job.exact, *job.worlds)}
+    }
+    exact = run(told[job.exact], with_optimum)
     rows = []
     for name in job.worlds:
-        found = exact if name == job.exact else run(job, name, WORLDS[name].has_optimum)
+        found = exact
+        if name != job.exact:
+            own = hard_worlds.changed(name, told[hard_worlds.simulation_of(name)])
+            found = run(own, WORLDS[name].has_optimum)
         rows.append(hard_figures.row(name, found, exact))
     return rows
 
 
-def run(job: Job, name: str, with_optimum: bool) -> Outcome:
-    """The run of the job's team in the world `name`."""
-    told = hard_worlds.of_seed(job.base, name, job.robots, job.seed)
+def run(told: Told, with_optimum: bool) -> Outcome:
+    """The run of a fusion that is told this."""
     pipeline = Pipeline(told.config, keeps_frames=with_optimum)
     pipeline.warm_up()
     predictions = runs.Predictions()

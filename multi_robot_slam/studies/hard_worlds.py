@@ -96,8 +96,8 @@ def exact_of(name: str) -> str:
     return EXACT if WORLDS[name].rounds == 1 else EXACT_TWICE
 
 
-def of_seed(base: Base, name: str, robots: int, seed: int) -> Told:
-    """What the team of a seed sends in a world, and what is true."""
+def simulated(base: Base, name: str, robots: int, seed: int) -> Told:
+    """What the team of a seed sends in the simulation of a world, before anything is changed."""
     world = WORLDS[name]
     trial = experiment_grid.usual(base, robots, "informed", seed)
     scenario = replace(base.scenario, odometry_per_frame=ODOMETRY_PER_FRAME, laps=world.rounds)
@@ -106,6 +106,16 @@ def of_seed(base: Base, name: str, robots: int, seed: int) -> Told:
     )
     config = exploration.configure(explored, base.keyframe, base.filters[REJUVENATED])
     events = tuple(e for instant in explored.instants for step in instant for e in step.events)
-    told = Told(explored.scenario, config, events, exploration.recorded(explored), config.robots)
-    rng = np.random.default_rng([seed, zlib.crc32(name.encode())])
-    return world.change(told, rng)
+    return Told(explored.scenario, config, events, exploration.recorded(explored), config.robots)
+
+
+def simulation_of(name: str) -> str:
+    """A world with the same simulation: those of one have to be simulated once."""
+    wanted = WORLDS[name].simulated, WORLDS[name].rounds
+    return next(n for n, world in WORLDS.items() if (world.simulated, world.rounds) == wanted)
+
+
+def changed(name: str, told: Told) -> Told:
+    """The world `name` of a team that was `simulated`; random numbers are those of its seed."""
+    rng = np.random.default_rng([told.config.seed, zlib.crc32(name.encode())])
+    return WORLDS[name].change(told, rng)
