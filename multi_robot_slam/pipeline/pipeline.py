@@ -37,6 +37,7 @@ from multi_robot_slam.pipeline.plausibility import Refusal
 from multi_robot_slam.pipeline.records import step_record
 from multi_robot_slam.pipeline.reorder import Reorder
 from multi_robot_slam.pipeline.time_guard import TimeGuard
+from multi_robot_slam.smoothing.noise_factors import NoiseFactors
 from multi_robot_slam.smoothing.odometry_scale import scaled
 
 FAILED_STEP = "failed step"
@@ -81,6 +82,11 @@ class Pipeline:
         self._reorder = Reorder(config, self._drop, self._opened, self.lose)
         self._estimates: dict[str, Estimate] = {}
         """Each robot's estimate of the last step it had a frame in."""
+
+    @property
+    def noise(self) -> NoiseFactors:
+        """How noisy each robot's odometry and observations are, beside what was told."""
+        return self._particles.state.noise
 
     def warm_up(self) -> None:
         """Compile the filter's kernels, or load them from the cache."""

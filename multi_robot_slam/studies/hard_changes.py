@@ -6,8 +6,7 @@ nothing changes but what the change is about: robots drive, and see, as they did
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -86,13 +85,7 @@ def in_turn(*changes: Change) -> Change:
 
 def certain(told: Told, rng: np.random.Generator) -> Told:
     """The fusion is told that the starts are known exactly."""
-    return replace(told, config=believing(told.config, start_sigma=(0.0, 0.0)))
-
-
-def believing(config: Config, **beliefs: Any) -> Config:
-    """The configuration with those of `beliefs` that this version has a setting for."""
-    known = {one.name for one in fields(Config)}
-    return replace(config, **{name: value for name, value in beliefs.items() if name in known})
+    return replace(told, config=replace(told.config, start_sigma=(0.0, 0.0)))
 
 
 def start_off(
@@ -108,7 +101,7 @@ def start_off(
         starts[robot] = starts[robot] + off
         config = replace(told.config, start_poses=_tuples(starts))
         if sigma is not None:
-            config = believing(config, start_sigma=sigma)
+            config = replace(config, start_sigma=sigma)
         return replace(told, config=config, culprits=(told.names[robot],))
 
     return change

@@ -32,7 +32,7 @@ class Outcome(NamedTuple):
     run: runs.Run
     optimum: Mapping[str, Trajectory] | None
     """What a filter could have published (`filtering_optimum.poses`); None if nobody asked."""
-    factors: np.ndarray | None
+    factors: np.ndarray
     """(K, 2) estimated factors of odometry and camera noise at the end."""
 
 
@@ -106,9 +106,9 @@ def row(name: str, outcome: Outcome, exact: Outcome) -> Row:
         old_places=old_places(outcome) if told.old_places else None,
         optimum_m=own_optimum,
         exact_optimum_m=exact_optimum,
-        odometry_factor=None if factors is None else float(factors[:, 0].mean()),
-        camera_factor=None if factors is None else float(factors[:, 1].mean()),
-        factor_off=None if factors is None else factor_off(factors, told.factors),
+        odometry_factor=float(factors[:, 0].mean()),
+        camera_factor=float(factors[:, 1].mean()),
+        factor_off=factor_off(factors, told.factors),
         known_s=(known_ns - START_NS) / 1e9,
         noticed_s=None if noticed_ns is None else max(0.0, (noticed_ns - known_ns) / 1e9),
         noticed_frames=None if noticed_ns is None else telling_frames(told, known_ns, noticed_ns),
@@ -177,7 +177,7 @@ def said(run: runs.Run, since_ns: int) -> list[tuple[int, str, str]]:
     """When (stamp) which level but `consistent` was first said of which robot, in this order."""
     first: dict[tuple[str, str], int] = {}
     for step in run.steps:
-        for verdict in getattr(step, "verdicts", ()):
+        for verdict in step.verdicts:
             if verdict.level != CONSISTENT and step.stamp_ns >= since_ns:
                 first.setdefault((verdict.robot, verdict.level), step.stamp_ns)
     return sorted((stamp, robot, level) for (robot, level), stamp in first.items())

@@ -49,10 +49,10 @@ class Row:
     optimum_m: float | None
     """Of the filtering optimum, at its instants."""
     exact_optimum_m: float | None
-    odometry_factor: float | None
+    odometry_factor: float
     """Estimated at the end, mean of the robots."""
-    camera_factor: float | None
-    factor_off: float | None
+    camera_factor: float
+    factor_off: float
     """By what share the factor that differs is missed."""
     known_s: float
     """When the difference could be noticed; from the start of the run."""
