@@ -3,7 +3,7 @@
 import numpy as np
 
 from msg_defs.types import CameraMount, ObservationSet
-from multi_robot_slam.filter.settings import NO_REJUVENATION, FilterSettings
+from multi_robot_slam.filter.settings import NO_REJUVENATION, ExistenceSettings, FilterSettings
 from multi_robot_slam.models.frames import RobotFrame
 from multi_robot_slam.models.motion import MotionSettings
 
@@ -18,6 +18,7 @@ def settings(particles: int = 12, **changes) -> FilterSettings:
     )
     paper = {"proposal": "motion", "resample_below": 1.0, "exclusive": False, "motion": noise}
     paper["rejuvenation"] = NO_REJUVENATION
+    paper["existence"] = ExistenceSettings(published_from=1, gone_below=0.0)
     return FilterSettings(particles=particles, **paper | changes)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from msg_defs.types import DESCRIPTOR_SIZE
 from multi_robot_slam.filter import resampling
+from multi_robot_slam.filter.existence import Existence
 from multi_robot_slam.filter.history import History
 from multi_robot_slam.filter.landmarks import Landmarks
 from multi_robot_slam.filter.matching import FrameInfo
@@ -66,6 +67,7 @@ def init(
         bias=Scales.unknown(len(start_poses), VAGUE),
         noise=NoiseFactors.as_told(len(start_poses)),
         prior=Prior.exact(start_poses),
+        existence=Existence.nothing(len(start_poses)),
     )
 
 

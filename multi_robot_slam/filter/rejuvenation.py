@@ -27,7 +27,9 @@ from typing import NamedTuple
 import numpy as np
 
 from multi_robot_slam.filter import new_map
+from multi_robot_slam.filter.existence import Existence, Placed
 from multi_robot_slam.filter.forgetting import forgotten
+from multi_robot_slam.filter.looks import frames_of
 from multi_robot_slam.filter.new_past import Drawn, draw
 from multi_robot_slam.filter.settings import FilterSettings, RejuvenationSettings
 from multi_robot_slam.filter.snapshot import Snapshot
@@ -140,6 +142,7 @@ def _renewed(old: Snapshot, drawn: list[Drawn], settings: FilterSettings) -> Sta
         history=old.history.renewed([group.past for group in drawn], settle),
         **_learnt(old, largest, settle, settings)._asdict(),
         prior=prior,
+        existence=_existence(old, largest, settle, settings).forget(lost),
         covisible=covisible.only(prior.ids),
         optimum=Optimum(largest.smoothed.of_records[settle:], None if settle else largest.smoothed),
         steps=old.steps,
@@ -171,6 +174,19 @@ def _learnt(old: Snapshot, largest: Drawn, settle: int, settings: FilterSettings
             old.noise, problem, smoothed, shares, settle, limit, settings.learn_noise
         ),
     )
+
+
+def _existence(old: Snapshot, largest: Drawn, settle: int, settings: FilterSettings) -> Existence:
+    """What is known of the landmarks' existence without the first `settle` records, which leave."""
+    known = old.existence.renamed(largest.past.aliases)
+    if settle == 0 or not settings.existence.is_on:
+        return known
+    past, records = largest.past, old.history.records
+    poses, identities = past.paths[:, :, 0], past.identities
+    views = known.seen(frames_of(records, poses, identities))
+    leaving = frames_of(records[:settle], poses[:settle], identities[:settle])
+    placed = Placed.of(largest.ids, largest.planes[:, :, 0])
+    return known.also(leaving, placed, views, settings.existence)
 
 
 def _how_many_settle(old: Snapshot, largest: Drawn, settings: FilterSettings) -> int:

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from multi_robot_slam.filter import rbpf, rejuvenation, snapshot
+from multi_robot_slam.filter.published import are_there
 from multi_robot_slam.filter.rbpf import StepInfo
 from multi_robot_slam.filter.rejuvenation import FAILURES, Rejuvenated
 from multi_robot_slam.filter.settings import LEAST_UNKNOWNS, FilterSettings
@@ -120,6 +121,8 @@ def warm_up(settings: FilterSettings) -> None:
     state = rbpf.warm_up(settings)
     weights = np.full(settings.particles, 1 / settings.particles)
     state.landmarks.mixture(state.landmarks.alive(), weights)
+    lineage = list(state.history.lineage(0))[::-1]
+    are_there(state, lineage, *state.landmarks.of_particle(0), settings)
     if settings.rejuvenation.ancestors_below == 0:
         return
     small = replace(settings, rejuvenation=replace(settings.rejuvenation, unknowns=LEAST_UNKNOWNS))

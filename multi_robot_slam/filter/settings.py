@@ -58,6 +58,37 @@ class RejuvenationSettings:
     ] = 0.25
 
 
+@settings
+class ExistenceSettings:
+    """Which landmarks are published: those that are likely to be there (`existence`)."""
+
+    published_from: Annotated[
+        int,
+        Ge(1),
+        "a landmark is published once it was observed from so many places: what a gross error made "
+        "is never seen again; 1: at once",
+    ] = 2
+    apart_m: Annotated[
+        float,
+        Gt(0),
+        "places of a robot are so far apart [m]; somewhat less than keyframes, for a pose is not "
+        "exactly what odometry said: frames of a robot that stands are one place",
+    ] = 0.2
+    apart_rad: Annotated[float, Gt(0), "or turned so far [rad]"] = 0.12
+    gone_below: Annotated[
+        float,
+        Interval(ge=0, lt=1),
+        "a landmark leaves the published map when as many looks at its place in a row as last did "
+        "not find it are less likely than this, by how often looks found it before; of a thousand "
+        "landmarks one in ten times is out wrongly, until it is seen again; 0: never",
+    ] = 1e-4
+
+    @property
+    def is_on(self) -> bool:
+        """Whether any landmark may be left out."""
+        return self.published_from > 1 or self.gone_below > 0
+
+
 NO_REJUVENATION = RejuvenationSettings(ancestors_below=0.0)
 """The filter alone, as in the paper."""
 
@@ -112,6 +143,7 @@ class FilterSettings:
     ] = 0
     motion: MotionSettings = field(default_factory=MotionSettings)
     rejuvenation: RejuvenationSettings = field(default_factory=RejuvenationSettings)
+    existence: ExistenceSettings = field(default_factory=ExistenceSettings)
 
 
 def threads(settings: FilterSettings) -> int:

@@ -6,6 +6,7 @@ import numpy as np
 
 from multi_robot_slam.filter import new_map, resampling
 from multi_robot_slam.filter.covisible import Covisible
+from multi_robot_slam.filter.existence import Existence
 from multi_robot_slam.filter.history import History
 from multi_robot_slam.filter.new_map import Held
 from multi_robot_slam.filter.settings import FilterSettings
@@ -29,6 +30,7 @@ class Snapshot:
     bias: Scales
     noise: NoiseFactors
     prior: Prior
+    existence: Existence
     covisible: Covisible
     optimum: Optimum | None
     groups: tuple[np.ndarray, ...]
@@ -59,6 +61,7 @@ def taken(state: State, settings: FilterSettings, rng: np.random.Generator) -> S
         state.bias,
         state.noise,
         state.prior.forget(lost) if len(lost) else state.prior,
+        state.existence,
         state.covisible,
         state.optimum,
         tuple(groups),

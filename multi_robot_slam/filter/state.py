@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from multi_robot_slam.filter.covisible import Covisible
+from multi_robot_slam.filter.existence import Existence
 from multi_robot_slam.filter.history import History
 from multi_robot_slam.filter.landmarks import Landmarks
 from multi_robot_slam.smoothing.noise_factors import NoiseFactors
@@ -42,6 +43,8 @@ class State:
     noise: NoiseFactors
     prior: Prior
     """What the settled frames say: of where the robots were at their end, and of landmarks."""
+    existence: Existence
+    """Of the landmarks, by what settled frames say."""
     covisible: Covisible = field(default_factory=Covisible.nothing)
     """Of the settled frames."""
     optimum: Optimum | None = None

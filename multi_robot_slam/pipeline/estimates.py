@@ -7,20 +7,27 @@ import numpy as np
 from msg_defs.types import LandmarkMap, Trajectory
 from multi_robot_slam.config import Config
 from multi_robot_slam.filter import rbpf, resampling
+from multi_robot_slam.filter.published import are_there
 from multi_robot_slam.filter.state import State
 from multi_robot_slam.models.frames import Record
 from multi_robot_slam.models.motion import wrap
 
 
 def landmark_map(state: State, config: Config) -> LandmarkMap:
-    """The best particle's map (17); where it draws, what all make of its landmarks."""
+    """The published map: what the best particle (17) has seen and is likely to be there.
+
+    Where it draws, what all particles make of its landmarks. Which ones are there: `existence`.
+    """
     landmarks = state.landmarks
     best = rbpf.best_particle(state)
     columns, values = landmarks.of_particle(best)
+    lineage = list(state.history.lineage(best))[::-1]
+    if config.filter.existence.is_on:
+        kept = are_there(state, lineage, columns, values, config.filter)
+        columns, values = columns[kept], values[kept]
     if config.publishes_mean:
         values = landmarks.mixture(columns, resampling.normalise(state.log_weights))
     ids = landmarks.ids[columns]
-    lineage = list(state.history.lineage(best))
     seen = state.history.settled.seen.also(
         [record for record, _ in lineage], [record.matches[:, row] for record, row in lineage]
     )

@@ -11,8 +11,9 @@ import worlds
 from numba.core.dispatcher import Dispatcher
 
 from multi_robot_slam.filter import rbpf, rejuvenation, running, snapshot
+from multi_robot_slam.filter.existence import COUNTS, Existence
 from multi_robot_slam.filter.running import ParticleFilter
-from multi_robot_slam.filter.settings import RejuvenationSettings
+from multi_robot_slam.filter.settings import ExistenceSettings, RejuvenationSettings
 
 SECOND = 10**9
 
@@ -20,6 +21,7 @@ SECOND = 10**9
 def settings(delay_s=0.0, **changes):
     rest = RejuvenationSettings(ancestors_below=0.5, delay_s=delay_s, unknowns=150)
     changes = {"particles": 60, "resample_below": 0.5, "rejuvenation": rest} | changes
+    changes = {"existence": ExistenceSettings()} | changes
     return worlds.settings(proposal="informed", **changes)
 
 
@@ -35,6 +37,9 @@ def content(state):
     """All that the next steps depend on, and the particles' pasts, as bytes."""
     found = [state.poses, state.log_weights, state.log_weight_sum, state.history.signatures]
     found += [*state.prior, state.covisible.together, state.scales.factors]
+    evidence = state.existence.evidence
+    found += [getattr(evidence, name) for name in ("ids", *COUNTS)]
+    found += [*state.existence.views, state.existence.anchors, state.existence.visits]
     for m in range(state.poses.shape[2]):
         found += state.landmarks.of_particle(m)
         for record, row in state.history.lineage(m):
@@ -223,3 +228,21 @@ def test_after_warming_up_nothing_is_compiled_while_frames_settle(noise_at):
     after = [len(kernel.signatures) for kernel in kernels]
     names = [kernel.__name__ for kernel, a, b in zip(kernels, before, after, strict=True) if a != b]
     assert names == []
+
+
+def test_evidence_of_existence_changes_nothing_in_the_filter():
+    """Only what is published: the filter's bytes are the same with it and without."""
+    without = replace(settings(), existence=ExistenceSettings(published_from=1, gone_below=0.0))
+    states = []
+    for own in (settings(), without):
+        particles = ParticleFilter(worlds.START, own, np.random.default_rng(0))
+        for frames in drive():
+            particles.step(frames)
+        states.append(particles.state)
+    assert len(states[0].history.settled)
+    assert len(states[0].existence.evidence.ids)
+    nothing = Existence.nothing(len(worlds.START))
+    assert len(states[1].existence.evidence.ids) == 0
+    for state in states:
+        state.existence = nothing
+    assert content(states[0]) == content(states[1])
