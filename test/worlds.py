@@ -8,6 +8,8 @@ from multi_robot_slam.models.frames import RobotFrame
 from multi_robot_slam.models.motion import MotionSettings
 
 MOUNT = CameraMount(forward_m=0.1, left_m=0.06, up_m=1.0)
+EVERYTHING = ExistenceSettings(published_from=1, gone_below=0.0)
+"""All landmarks are published."""
 START = np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 1.5], [2.0, 3.0, -2.0]])
 
 
@@ -18,7 +20,7 @@ def settings(particles: int = 12, **changes) -> FilterSettings:
     )
     paper = {"proposal": "motion", "resample_below": 1.0, "exclusive": False, "motion": noise}
     paper["rejuvenation"] = NO_REJUVENATION
-    paper["existence"] = ExistenceSettings(published_from=1, gone_below=0.0)
+    paper["existence"] = EVERYTHING
     return FilterSettings(particles=particles, **paper | changes)
 
 

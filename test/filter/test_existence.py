@@ -5,18 +5,26 @@ from itertools import permutations
 
 import numpy as np
 import pytest
+import worlds
 from looking import EYE, Watcher, circle, field, in_view, rays_to
 
+from multi_robot_slam.filter import rbpf
 from multi_robot_slam.filter.existence import (
     ALIKE_BY_CHANCE,
     COUNTS,
     Evidence,
     Existence,
+    Placed,
     log_chance,
     published,
 )
 from multi_robot_slam.filter.looks import NEARLY_RAD, WITNESSES, frames_of
-from multi_robot_slam.filter.settings import ExistenceSettings
+from multi_robot_slam.filter.running import ParticleFilter
+from multi_robot_slam.filter.settings import (
+    LEAST_UNKNOWNS,
+    ExistenceSettings,
+    RejuvenationSettings,
+)
 from multi_robot_slam.filter.views import BEARING_RAD, ELEVATION_RAD, NEAREST_M, RATIO, USED
 from multi_robot_slam.smoothing.aliases import Aliases
 
@@ -432,3 +440,36 @@ def test_the_eye_is_where_the_rays_begin():
     np.testing.assert_array_equal(frames.newest, [1, -1])
     np.testing.assert_array_equal(frames.starts, [0, 2, 2])
     np.testing.assert_array_equal(frames.is_known, [False, False])
+
+
+def test_frames_that_settled_count_as_if_they_had_stayed():
+    """The places of each landmark, from the counts of settled frames and from all frames kept."""
+    small = RejuvenationSettings(ancestors_below=1.0, delay_s=0.0, unknowns=LEAST_UNKNOWNS)
+    own = worlds.settings(
+        proposal="informed", particles=30, rejuvenation=small, existence=SETTINGS, threads=1
+    )
+    particles = ParticleFilter(worlds.START, own, np.random.default_rng(1))
+    for frames in worlds.drive(seed=4, steps=45):
+        particles.step(frames)
+    state = particles.state
+    assert len(state.history.settled) > 60
+    best = rbpf.best_particle(state)
+    columns, values = state.landmarks.of_particle(best)
+    ids = state.landmarks.ids[columns].astype(np.int64)
+    counts = []
+    for known, past in (
+        (state.existence, list(state.history.lineage(best))[::-1]),
+        (Existence.nothing(3), state.history.whole_lineage(best)),
+    ):
+        seen = frames_of(
+            [record for record, _ in past],
+            np.array([record.poses[:, row] for record, row in past]),
+            [record.matches[:, row] for record, row in past],
+        )
+        placed = Placed.of(ids, values)
+        found = known.also(seen, placed, known.seen(seen), SETTINGS)
+        counts.append((found.evidence.of(ids).places, found.visits, *found.views))
+    assert (counts[0][0] > 10).sum() > 10
+    for settled, kept in zip(*counts, strict=True):
+        np.testing.assert_array_equal(settled, kept)
+    assert np.isin(state.existence.evidence.ids, ids).all()

@@ -232,7 +232,7 @@ def test_after_warming_up_nothing_is_compiled_while_frames_settle(noise_at):
 
 def test_evidence_of_existence_changes_nothing_in_the_filter():
     """Only what is published: the filter's bytes are the same with it and without."""
-    without = replace(settings(), existence=ExistenceSettings(published_from=1, gone_below=0.0))
+    without = replace(settings(), existence=worlds.EVERYTHING)
     states = []
     for own in (settings(), without):
         particles = ParticleFilter(worlds.START, own, np.random.default_rng(0))

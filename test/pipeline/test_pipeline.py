@@ -1,14 +1,17 @@
 """The one door: order, pairing, and what is dropped."""
 
 import itertools
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 import worlds
+from worlds import EVERYTHING
 
 from msg_defs.types import ObservationSet, PoseSample
 from multi_robot_slam.config import EVERY_FRAME, Config
 from multi_robot_slam.filter import rbpf, resampling
+from multi_robot_slam.filter.settings import ExistenceSettings
 from multi_robot_slam.pipeline.pipeline import Pipeline
 
 NAMES = ("robot_1", "robot_2", "robot_3")
@@ -166,6 +169,25 @@ def test_map_and_paths_are_the_best_particle():
     for estimate in records[-1].estimates:
         np.testing.assert_array_equal(paths[estimate.robot].poses[-1], estimate.pose)
         assert len(paths[estimate.robot].stamps_ns) == 10
+
+
+def test_the_published_map_has_what_was_seen_from_two_places():
+    """The others are as they were; what is published is so in every respect as without it."""
+    stream = round_robin(events(worlds.drive(8, steps=10)))
+    maps = []
+    for existence in (EVERYTHING, ExistenceSettings()):
+        settings = worlds.settings(particles=20, existence=existence)
+        pipeline = Pipeline(replace(config(), filter=settings))
+        run(pipeline, stream)
+        maps.append(pipeline.landmark_map())
+    whole, published = maps
+    kept = np.isin(whole.ids, published.ids)
+    assert 5 < kept.sum() < len(kept)
+    for field in fields(whole):
+        np.testing.assert_array_equal(
+            getattr(whole, field.name)[kept], getattr(published, field.name)
+        )
+    np.testing.assert_array_equal(kept, whole.observations > 1)
 
 
 def test_mean_paths_are_those_of_all_particles():
