@@ -7,7 +7,7 @@ is there: detectors miss.
 While nothing changes, any order of the h looks that found it and the x that did not is as likely as
 any other, whatever the detector, so that the last m of them all fail by chance with probability
 
-    C(h + x - m, h) / C(h + x, h)                                                              (G1)
+    C(h + x - m, h) / C(h + x, h)                                                              (X1)
 
 All of this is worked out from the frames when a map is made, with what is known of the paths then;
 only of settled frames the counts are kept. No step of the filter does anything for it.
@@ -48,7 +48,8 @@ class Placed(NamedTuple):
     def of(cls, ids: np.ndarray, values: np.ndarray) -> "Placed":
         """The landmarks `ids` (N,) whose means and covariances are `values` (N, 9)."""
         values = values.astype(float)
-        return cls(ids, values[:, :3], np.sqrt(values[:, 3] + values[:, 6]))
+        variances = np.maximum(values[:, 3] + values[:, 6], 0)  # in single precision of any sign
+        return cls(ids, values[:, :3], np.sqrt(variances))
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,26 +187,30 @@ def published(
     limit = np.log(settings.gone_below)
     found, before = evidence.found, evidence.failed - evidence.in_a_row
     gone = log_chance(found, before, evidence.in_a_row) < limit
-    missed = np.flatnonzero(is_seen & ~gone & (evidence.in_a_row > 0))
+    may_have_moved = _of_kind(MOST_LOOKS, 0, evidence.in_a_row) < limit
+    missed = np.flatnonzero(is_seen & ~gone & may_have_moved)
     others = np.flatnonzero(is_seen)
     alike = squared_distances(descriptors[missed], descriptors[others]) <= descriptor_gate
     alike &= evidence.ids[others] > evidence.horizon[missed, None]
     pairs = np.argwhere(alike)
     old, new = missed[pairs[:, 0]], others[pairs[:, 1]]
-    both = log_chance(
+    both = _of_kind(
         found[old] + found[new], before[old] + evidence.failed[new], evidence.in_a_row[old]
     )
-    gone[old[both + np.log(ALIKE_BY_CHANCE) < limit]] = True
+    gone[old[both < limit]] = True
     return is_seen & ~gone
 
 
-def log_chance(found: np.ndarray, failed: np.ndarray, in_a_row: np.ndarray) -> np.ndarray:
-    """Logarithm of (G1): `in_a_row` more looks fail after those that `found` and `failed`."""
+def _of_kind(found: np.ndarray | int, failed: np.ndarray | int, in_a_row: np.ndarray) -> np.ndarray:
+    """Logarithm of (X1) times that of two that look alike both being there."""
+    return log_chance(found, failed, in_a_row) + np.log(ALIKE_BY_CHANCE)
+
+
+def log_chance(
+    found: np.ndarray | int, failed: np.ndarray | int, in_a_row: np.ndarray
+) -> np.ndarray:
+    """Logarithm of (X1): `in_a_row` more looks fail after those that `found` and `failed`."""
     share = np.minimum(1.0, MOST_LOOKS / np.maximum(found + failed, 1))
-    found, failed = share * found, share * failed
-    return (
-        gammaln(found + failed + 1)
-        - gammaln(failed + 1)
-        - gammaln(found + failed + in_a_row + 1)
-        + gammaln(failed + in_a_row + 1)
-    )
+    looks, failed = share * (found + failed), share * failed
+    before = gammaln(looks + 1) - gammaln(failed + 1)
+    return before - gammaln(looks + in_a_row + 1) + gammaln(failed + in_a_row + 1)

@@ -1,8 +1,9 @@
 """Every look at a landmark: a frame in which it should be found, whether it was or not.
 
-A look is a frame from a new place of its robot in which the landmark is in view (`views`), the view
-is free, for something known was found behind it in nearly the same direction, and the robot is
-where it believes to be, for it found others that were known when the landmark was last seen.
+A look is a frame from a new place of its robot in which the landmark is in view (`views`). If it
+was not found, the look counts only where its view was free, for something known was found behind it
+in nearly the same direction, and where the robot was where it believes to be, for it found others
+that were known when the landmark was last seen.
 """
 
 from collections.abc import Sequence
@@ -59,7 +60,7 @@ def frames_of(
         np.array([r.robot for r in records], np.int64),
         np.asarray(poses, float).reshape(-1, 3),
         eyes,
-        np.array([r.new_ids.max(initial=-1) for r in records], np.int64),
+        np.array([r.new_ids[-1] if len(r.new_ids) else -1 for r in records], np.int64),
         np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
         ids,
         ids != new_ids,
@@ -90,7 +91,7 @@ def go_through(
     counts : the arrays of `Evidence` after the ids, changed in place.
     """
     seen_from, last_place, horizon, found, failed, in_a_row = counts
-    is_seen = np.zeros(len(places), np.bool_)
+    is_seen, ray = np.zeros(len(places), np.bool_), np.empty(3)
     for f in range(len(frames.robots)):
         robot, first, last = frames.robots[f], frames.starts[f], frames.starts[f + 1]
         is_new_place = _arrive(frames.poses[f], robot, apart, anchors, visits)
@@ -98,17 +99,19 @@ def go_through(
             if rows[o] >= 0:
                 is_seen[rows[o]] = True
         if is_new_place:
-            cos, sin = np.cos(frames.poses[f, 2]), np.sin(frames.poses[f, 2])
+            turn = np.array([np.cos(frames.poses[f, 2]), np.sin(frames.poses[f, 2])])
             witness = _witness(frames, f)
             reach = _reach(frames, f)
             bearings = np.arctan2(frames.rays[first:last, 1], frames.rays[first:last, 0])
             for n in range(len(places)):
                 if seen_from[n] == 0 or (witness > horizon[n] and not is_seen[n]):
                     continue
-                ray = _ray(frames, f, cos, sin, places[n])
-                if not _is_expected(views, robot, ray, sigmas[n], reach):
+                distance = _point(frames, f, turn, places[n], ray)
+                if distance > reach or 4 * sigmas[n] > BEARING_RAD * distance:
                     continue
-                if not _is_free(frames, f, rows, n, ray, bearings):
+                if not is_seen[n] and not _is_free(frames, f, rows, n, ray, bearings):
+                    continue
+                if not is_in_view(views, robot, ray):
                     continue
                 if is_seen[n]:
                     found[n] += 1
@@ -169,19 +172,16 @@ def _reach(frames: Frames, f: int) -> float:
 
 
 @kernel
-def _ray(frames: Frames, f: int, cos: float, sin: float, place: np.ndarray) -> np.ndarray:
-    """(3,) from the camera in frame f to `place` (3,), in `base_link` axes [m]."""
+def _point(frames: Frames, f: int, turn: np.ndarray, place: np.ndarray, ray: np.ndarray) -> float:
+    """Distance from the camera in frame f to `place` (3,) [m]; writes the `ray` (3,) to it.
+
+    `turn` (2,): cosine and sine of the frame's yaw.
+    """
     x, y = place[0] - frames.poses[f, 0], place[1] - frames.poses[f, 1]
-    return np.array([cos * x + sin * y, cos * y - sin * x, place[2]]) - frames.eyes[f]
-
-
-@kernel
-def _is_expected(views: Views, robot: int, ray: np.ndarray, sigma: float, reach: float) -> bool:
-    """Whether a point at `ray` (3,), which is known to `sigma` [m], lies in view for certain."""
-    distance = np.sqrt(ray[0] ** 2 + ray[1] ** 2 + ray[2] ** 2)
-    if distance > reach or 2 * sigma > 0.5 * BEARING_RAD * distance:
-        return False
-    return is_in_view(views, robot, ray)
+    ray[0] = turn[0] * x + turn[1] * y - frames.eyes[f, 0]
+    ray[1] = turn[0] * y - turn[1] * x - frames.eyes[f, 1]
+    ray[2] = place[2] - frames.eyes[f, 2]
+    return np.sqrt(ray[0] * ray[0] + ray[1] * ray[1] + ray[2] * ray[2])
 
 
 @kernel

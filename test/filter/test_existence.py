@@ -1,4 +1,4 @@
-"""Evidence of existence: a slow twin, the law of (G1), ghosts, what moves, hides and comes back."""
+"""Evidence of existence: a slow twin, the law of (X1), ghosts, what moves, hides and comes back."""
 
 from dataclasses import replace
 from itertools import permutations
@@ -127,7 +127,7 @@ class TestSlowTwin:
                     and far > 0
                     and all(used.get((robot, d, b % 72), 0) >= USED for d, b in around)
                     and min(levels, default=99) < elevation < max(levels, default=-1)
-                    and any(is_behind)
+                    and (name in seen or any(is_behind))
                 )
                 if is_look and name in seen:
                     row["found"] += 1
@@ -163,7 +163,7 @@ class TestSlowTwin:
 
 
 class TestChance:
-    """(G1)."""
+    """(X1)."""
 
     @pytest.mark.parametrize(("found", "failed", "last"), [(2, 0, 3), (3, 2, 2), (4, 1, 1)])
     def test_it_is_the_share_of_all_orders_that_end_so(self, found, failed, last):
@@ -281,7 +281,7 @@ class TestMoved:
         assert are_there(watcher, PLACES, alike=range(len(PLACES))) == everything
 
     def test_a_newer_one_alike_counts_as_found_as_easily(self):
-        """(G1) of both together, and the odds that there are two of a kind."""
+        """(X1) of both together, and the odds that there are two of a kind."""
         found = Evidence(
             np.array([1, 50]),
             *np.array([[5, 9], [0, 0], [40, 90], [1, 6], [3, 0], [3, 0]]),
