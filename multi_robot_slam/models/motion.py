@@ -196,6 +196,13 @@ def _move(poses: np.ndarray, cos: np.ndarray, sin: np.ndarray, motions: np.ndarr
             yaw[m] += motions[2, m]
 
 
+def odom_in_map(estimate: np.ndarray, odometry: np.ndarray) -> np.ndarray:
+    """Pose (3,) of `odom` in `map` that puts the `odometry` pose (3,) at the `estimate` (3,)."""
+    pose = estimate[:, None].copy()
+    move(pose, increment(odometry, np.zeros(3))[:, None])
+    return pose[:, 0]
+
+
 def wrap(angle: float | np.ndarray) -> float | np.ndarray:
     """The same angle in [-pi, pi) [rad]."""
     return (angle + np.pi) % (2 * np.pi) - np.pi

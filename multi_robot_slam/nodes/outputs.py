@@ -10,7 +10,7 @@ from msg_defs import scenario_file, topics, wire
 from msg_defs.ros.endpoints import is_available, publisher
 from msg_defs.types import Estimate, StepRecord
 from multi_robot_slam.config import SECTION, Config
-from multi_robot_slam.models.motion import increment, move
+from multi_robot_slam.models.motion import odom_in_map
 from multi_robot_slam.pipeline.pipeline import Pipeline
 from multi_robot_slam.pipeline.thinning import thinned
 
@@ -83,13 +83,6 @@ class Outputs:
 
     def _publish(self, topic: topics.Topic, data: bytes) -> None:
         self._publishers[topic].publish(data)
-
-
-def odom_in_map(estimate: np.ndarray, odometry: np.ndarray) -> np.ndarray:
-    """Pose (3,) of `odom` in `map` that puts the `odometry` pose (3,) at the `estimate` (3,)."""
-    pose = estimate[:, None].copy()
-    move(pose, increment(odometry, np.zeros(3))[:, None])
-    return pose[:, 0]
 
 
 def _transform(estimate: Estimate, odometry: np.ndarray) -> bytes:

@@ -32,19 +32,18 @@ class RobotErrors(NamedTuple):
 
 
 def odometry_in_map(robot: RobotRun) -> Trajectory:
-    """Odometry composed onto the robot's start: T_map(t) = T_start T_odom(start)^-1 T_odom(t).
+    """Odometry in `map`: T_map(t) = T_start T_odom(start)^-1 T_odom(t).
 
-    The start is the path's first stamp, where the filter begins. T_start is the true pose there, or
-    the configured one if the truth does not cover it.
+    Where the truth covers the path's first stamp, at which the filter begins, that is the start,
+    and T_start the true pose. Else T_start is where the odometry's origin is configured to be.
     """
     stamps, poses = robot.odometry.stamps_ns, robot.odometry.poses
     if not len(stamps):
         return robot.odometry
     start_ns = (robot.path.stamps_ns if len(robot.path.stamps_ns) else stamps)[:1]
-    start = robot.start_pose
+    start, origin = robot.start_pose, np.zeros(3)
     if robot.truth is not None and covers(robot.truth, start_ns).all():
-        start = at(robot.truth, start_ns)[0]
-    origin = at(robot.odometry, start_ns)[0]
+        start, origin = at(robot.truth, start_ns)[0], at(robot.odometry, start_ns)[0]
     turn = start[2] - origin[2]
     places = start[:2] + (poses[:, :2] - origin[:2]) @ rotation(turn).T
     return Trajectory(stamps, np.column_stack([places, poses[:, 2] + turn]))

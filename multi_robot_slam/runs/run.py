@@ -19,6 +19,7 @@ from msg_defs.types import (
 )
 from msg_defs.wire import Estimates
 from multi_robot_slam.config import Config
+from multi_robot_slam.models.motion import odom_in_map
 from multi_robot_slam.runs import predictions
 from multi_robot_slam.runs.provenance import Provenance
 from multi_robot_slam.runs.views import Views
@@ -35,7 +36,7 @@ class RobotRun:
     """One robot's trajectories in `map`; one the run does not have is empty, unknown truth None."""
 
     start_pose: np.ndarray
-    """(3,) float64: configured x [m], y [m], yaw [rad] at the first filtered frame, in `map`."""
+    """(3,) float64: x [m], y [m], yaw [rad] of its odom frame in `map`, as configured."""
     odometry: Trajectory
     """As recorded, in the robot's own `odom` frame."""
     online: Trajectory
@@ -127,10 +128,11 @@ def assemble(
     `predicted` was published between the `steps`, of each robot.
     """
     estimates = {name: _estimates(steps, name) for name in config.robots}
+    odometry = recording.odometry
     robots = {
         name: RobotRun(
-            start_pose=np.array(start),
-            odometry=recording.odometry.get(name, EMPTY),
+            start_pose=_origin(np.array(start), odometry.get(name, EMPTY), config),
+            odometry=odometry.get(name, EMPTY),
             online=_online(estimates[name], predicted.get(name, predictions.NONE)),
             path=paths.get(name, EMPTY),
             truth=recording.truth.get(name),
@@ -158,6 +160,13 @@ def assemble(
         bag=recording.bag,
         namespace=recording.namespace,
     )
+
+
+def _origin(start: np.ndarray, odometry: Trajectory, config: Config) -> np.ndarray:
+    """Pose (3,) of the odometry's origin in `map`, as the configuration has it."""
+    if config.start_at == "odom" or not len(odometry.poses):
+        return start
+    return odom_in_map(start, odometry.poses[0])
 
 
 def _estimates(steps: Iterable[StepRecord], robot: str) -> list[Estimate]:

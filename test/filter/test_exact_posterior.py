@@ -5,6 +5,8 @@ jointly Gaussian. The filter's weighted mean and covariance must be theirs, with
 error of the particles.
 """
 
+from dataclasses import replace
+
 import linear_world
 import numpy as np
 import pytest
@@ -13,15 +15,17 @@ from linear_world import LANDMARKS, SIGMA_MOVE, SIGMA_SEE, STEPS, world
 from msg_defs.types import ObservationSet
 from multi_robot_slam.filter import rbpf, resampling
 from multi_robot_slam.filter.settings import NO_REJUVENATION, FilterSettings
+from multi_robot_slam.models.frames import Start
 from multi_robot_slam.models.motion import MotionSettings
 
 PARTICLES = 20_000
 
 
-def exact(moves, seen):
+def exact(moves, seen, start):
     """Kalman filter over x, y of the robot and all landmarks: mean, covariance."""
     size = 2 + 3 * LANDMARKS
     mean, covariance = np.zeros(size), np.diag([0.0] * 2 + [1e8] * (size - 2))
+    mean[:2], covariance[:2, :2] = start.mean[:2], start.covariance[:2, :2]
     H = np.zeros((3 * LANDMARKS, size))
     H[:, 2:] = np.eye(3 * LANDMARKS)
     H[0::3, 0] = H[1::3, 1] = -1
@@ -35,7 +39,7 @@ def exact(moves, seen):
     return mean, covariance
 
 
-def filtered(moves, seen, proposal, seed):
+def filtered(moves, seen, proposal, seed, start):
     """Weighted mean and covariance of the same state, and the particles' effective number."""
     noise = MotionSettings(SIGMA_MOVE, SIGMA_MOVE, 0.0, 0.0)
     settings = FilterSettings(
@@ -53,7 +57,7 @@ def filtered(moves, seen, proposal, seed):
         camera = np.stack([-seen[t, :, 1], seen[t, :, 2], seen[t, :, 0]], axis=1)
         R = np.tile([SIGMA_SEE**2, 0, 0, SIGMA_SEE**2, 0, SIGMA_SEE**2], (LANDMARKS, 1))
         z = ObservationSet("", t, camera, R, descriptors)
-        frame = linear_world.frame(t, moves[t], z)
+        frame = replace(linear_world.frame(t, moves[t], z), start=None if t else start)
         info = rbpf.step(state, [frame], settings, rng)
     landmarks = state.landmarks
     landmarks.bring_up_to_date(landmarks.alive())
@@ -69,12 +73,18 @@ def filtered(moves, seen, proposal, seed):
     return mean, covariance, info.effective_particles
 
 
+KNOWN = Start(np.zeros(3), np.zeros((3, 3)))
+BELIEVED = Start(
+    np.array([0.5, -1.0, 0.0]), np.array([[0.25, 0.1, 0.0], [0.1, 0.16, 0.0], [0.0, 0.0, 0.0]])
+)
+
+
 @pytest.mark.parametrize("proposal", ["motion", "informed"])
-@pytest.mark.parametrize("seed", [0, 1])
-def test_posterior_is_the_kalman_filter_s(proposal, seed):
+@pytest.mark.parametrize(("seed", "start"), [(0, KNOWN), (1, KNOWN), (0, BELIEVED)])
+def test_posterior_is_the_kalman_filter_s(proposal, seed, start):
     moves, seen = world(seed)
-    mean, covariance = exact(moves, seen)
-    estimate, spread, effective = filtered(moves, seen, proposal, seed)
+    mean, covariance = exact(moves, seen, start)
+    estimate, spread, effective = filtered(moves, seen, proposal, seed, start)
     assert effective > 100
     # The particles are correlated after resampling, so their number is a tenth at the least.
     error = np.sqrt(np.diag(covariance) / (PARTICLES / 10))

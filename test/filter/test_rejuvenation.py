@@ -19,6 +19,7 @@ from multi_robot_slam.filter.new_past import tempered
 from multi_robot_slam.filter.running import ParticleFilter
 from multi_robot_slam.filter.settings import NO_REJUVENATION, FilterSettings, RejuvenationSettings
 from multi_robot_slam.models import stereo
+from multi_robot_slam.models.frames import Start
 from multi_robot_slam.models.motion import MotionSettings
 from multi_robot_slam.models.symmetric import pack, unpack
 from multi_robot_slam.smoothing import draws, solve
@@ -75,8 +76,11 @@ def rejuvenated(state, settings, seed=1):
     return rejuvenation.rejuvenate(snapshot.taken(state, settings, rng), settings, rng)
 
 
-def exact_smoother(moves, seen):
-    """Least squares over all positions (T, 2) and landmarks (N, 3): mean and covariance."""
+def exact_smoother(moves, seen, start):
+    """Least squares over all positions (T, 2) and landmarks (N, 3): mean and covariance.
+
+    The first position is known where `start`, the belief about it, is None.
+    """
     steps, count = len(moves), linear.LANDMARKS
     size = 2 * steps + 3 * count
     rows, values, sigmas = [], [], []
@@ -97,14 +101,25 @@ def exact_smoother(moves, seen):
                 rows.append(row)
                 values.append(seen[t, n, axis])
                 sigmas.append(linear.SIGMA_SEE)
-    free = np.arange(2, size)  # the first position is known
+    if start is not None:
+        whitener = np.linalg.inv(np.linalg.cholesky(start.covariance[:2, :2]))
+        rows += list(np.pad(whitener, ((0, 0), (0, size - 2))))
+        values += list(whitener @ start.mean[:2])
+        sigmas += [1.0, 1.0]
+    free = np.arange(2 if start is None else 0, size)
     A = np.array(rows)[:, free] / np.array(sigmas)[:, None]
     covariance = np.linalg.inv(A.T @ A)
     return covariance @ A.T @ (np.array(values) / sigmas), covariance
 
 
+BELIEVED = Start(
+    np.array([0.5, -1.0, 0.0]), np.array([[0.25, 0.1, 0.0], [0.1, 0.16, 0.0], [0.0, 0.0, 0.0]])
+)
+
+
 @pytest.mark.parametrize("proposal", ["motion", "informed"])
-def test_in_a_linear_world_the_particles_are_the_exact_smoother_s(proposal):
+@pytest.mark.parametrize("start", [None, BELIEVED], ids=["known", "believed"])
+def test_in_a_linear_world_the_particles_are_the_exact_smoother_s(proposal, start):
     """Whole paths and landmarks, from a filter that had lost all but a few of its ancestors."""
     count = 20_000
     noise = MotionSettings(linear.SIGMA_MOVE, linear.SIGMA_MOVE, 0.0, 0.0)
@@ -125,13 +140,15 @@ def test_in_a_linear_world_the_particles_are_the_exact_smoother_s(proposal):
     for t in range(linear.STEPS):
         camera = np.stack([-seen[t, :, 1], seen[t, :, 2], seen[t, :, 0]], axis=1)
         z = ObservationSet("", t, camera, R, descriptors)
-        rbpf.step(state, [linear.frame(t, moves[t], z)], settings, rng)
+        frame = replace(linear.frame(t, moves[t], z), start=None if t else start)
+        rbpf.step(state, [frame], settings, rng)
     state, info = rejuvenation.rejuvenate(snapshot.taken(state, settings, rng), settings, rng)
     assert info.alone == 0
     assert info.effective_particles > 0.95 * count
 
     weights = resampling.normalise(state.log_weights)
-    paths = np.concatenate([record.poses[:2] for record in state.history.records[1:]])
+    paths = np.concatenate([record.poses[:2] for record in state.history.records])
+    paths = paths if start else paths[2:]
     landmarks = state.landmarks
     landmarks.bring_up_to_date(landmarks.alive())
     planes = landmarks.planes[landmarks.columns_of(np.arange(linear.LANDMARKS))]
@@ -142,7 +159,7 @@ def test_in_a_linear_world_the_particles_are_the_exact_smoother_s(proposal):
     for n in range(linear.LANDMARKS):
         block = slice(offset + 3 * n, offset + 3 * n + 3)
         covariance[block, block] += unpack(planes[n, 3:] @ weights)
-    expected, spread = exact_smoother(moves, seen)
+    expected, spread = exact_smoother(moves, seen, start)
     # A heading of sigma 1e-5 stays free.
     np.testing.assert_allclose(mean, expected, atol=5 * np.sqrt(np.diag(spread).max() / count))
     np.testing.assert_allclose(covariance, spread, atol=0.05 * np.diag(spread).max())

@@ -15,14 +15,14 @@ from msg_defs.types import Sightings, StepRecord
 from msg_defs.wire.messages import PointCloud2, decode, encode
 from multi_robot_slam.config import SECTION, Config
 from multi_robot_slam.filter import rbpf
-from multi_robot_slam.models.motion import move, wrap
+from multi_robot_slam.models.motion import move, odom_in_map, wrap
 from multi_robot_slam.pipeline.pipeline import Pipeline
 from sim_world.scenario import Scenario
 from sim_world.simulator import Simulation
 
 nodes = pytest.importorskip("nodes")
 fusion = pytest.importorskip("multi_robot_slam.nodes.fusion")
-outputs = pytest.importorskip("multi_robot_slam.nodes.outputs")
+pytest.importorskip("multi_robot_slam.nodes.outputs")
 
 pytestmark = pytest.mark.usefixtures("ros_domain_id")
 
@@ -345,7 +345,7 @@ poses = st.tuples(*[st.floats(-100, 100)] * 2, st.floats(-3, 3)).map(np.array)
 
 @given(estimate=poses, odometry=poses)
 def test_odometry_seen_from_the_map_is_the_estimate(estimate, odometry):
-    pose = outputs.odom_in_map(estimate, odometry)[:, None]
+    pose = odom_in_map(estimate, odometry)[:, None]
     move(pose, odometry[:, None])
     difference = pose[:, 0] - estimate
     np.testing.assert_allclose([*difference[:2], wrap(difference[2])], 0, atol=1e-9)

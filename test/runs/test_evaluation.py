@@ -250,9 +250,10 @@ def test_odometry_is_composed_on_the_configured_start_without_truth():
 def test_odometry_starts_where_the_path_starts():
     robot = fake_run(robots=1).robots["robot_1"]
     late = Trajectory(robot.path.stamps_ns[5:], robot.path.poses[5:])
-    start = robot.truth.poses[5] + np.array([1, 0, 0])
+    start = robot.truth.poses[0] + np.array([1, 0, 0])
     in_map = robot_errors.odometry_in_map(replace(robot, path=late, truth=None, start_pose=start))
-    np.testing.assert_allclose(in_map.poses[5, :2], start[:2], atol=1e-12)
+    expected = robot.truth.poses[5, :2] + [1, 0]
+    np.testing.assert_allclose(in_map.poses[5, :2], expected, atol=1e-12)
 
 
 def test_truth_is_interpolated_with_the_yaw_the_short_way():
