@@ -4,6 +4,7 @@ import numpy as np
 
 from msg_defs.types import CameraMount
 from multi_robot_slam.models.frames import RobotFrame
+from multi_robot_slam.models.motion import NO_EXTRA
 
 STEPS, LANDMARKS = 6, 4
 SIGMA_MOVE, SIGMA_SEE = 0.3, 0.2
@@ -22,6 +23,7 @@ def world(seed):
     return moves, seen + rng.normal(0, SIGMA_SEE, seen.shape)
 
 
-def frame(t, move, observations):
+def frame(t, move, observations, extra=NO_EXTRA):
     """The frame of instant `t`, after `move` (2,)."""
-    return RobotFrame.from_camera(0, np.array([*move, 0.0]), 0.0, observations, MOUNT)
+    motion = np.array([*move, 0.0])
+    return RobotFrame.from_camera(0, motion, 0.0, observations, MOUNT, extra=extra)

@@ -102,7 +102,7 @@ class Gap(NamedTuple):
     def hidden(self, begin: Instant, end: Instant, noise: MotionSettings) -> np.ndarray:
         """Variances (3,) of the motion from `begin` to `end` that (7) does not tell.
 
-        Both are interpolated; seen from the pose at `begin` [m^2, m^2, rad^2]. (G1) to (G7).
+        Both are interpolated; seen from the pose at `begin` [m^2, m^2, rad^2]. (G1) to (G6).
         """
         first, last = self._share(begin.stamp_ns), self._share(end.stamp_ns)
         covered = last - first
@@ -112,13 +112,13 @@ class Gap(NamedTuple):
         direction, heading = (angle - begin.pose[2] for angle in self._angles())
         way = increment(begin.pose, end.pose)
         arms = [way - increment(begin.pose, self._at(share)) for share in (first, last)]
-        off = 4 * covered * (1 - covered) * unknown.middle
+        off = 4 * covered * (1 - covered) * unknown.middle  # (G3)
         off_at_begin = 4 * first * (1 - first) * unknown.middle[2]
         position = (
             _seen(off, direction)
             + _seen(covered * unknown.wheels, heading)
             + off_at_begin * _swung(way, way)
-            + covered * unknown.turned * _swung(*arms)
+            + covered * unknown.turned * _swung(*arms)  # (G5)
         )
         return np.append(position, off[2] + covered * unknown.wheels[2])
 
@@ -129,7 +129,7 @@ class Gap(NamedTuple):
         own, before = np.array([chord, turn]) / seconds, self.before
         wander = np.minimum(before.changing * seconds / 2, 2 * before.variance)
         along, yaw = np.sqrt(wander + 4 * np.square(own - before.last)) * seconds / 4  # (G2)
-        across = length * math.hypot(turn, math.sqrt(8) * yaw) / 8  # (G3)
+        across = length * math.hypot(turn, math.sqrt(8) * yaw) / 8  # (G2)
         forward, left = noise.forward_per_sqrt_m**2, noise.left_per_sqrt_m**2
         by_way, by_turn = noise.yaw_per_sqrt_m**2, noise.yaw_per_sqrt_rad**2
         longer, leak = length - abs(chord), length * min(turning**2 / 3, 1)
@@ -142,7 +142,7 @@ class Gap(NamedTuple):
         return _Unknown(np.square([along, across, yaw]), np.array(wheels), turned)
 
     def _reset(self) -> "_Unknown":
-        """As far as the robot goes in the time, in any direction (G7)."""
+        """As far as the robot goes in the time, in any direction (G6)."""
         length, turning = self._way()
         turned = min(turning**2, math.pi**2 / 3)
         return _Unknown(np.zeros(3), np.array([length**2 / 2, length**2 / 2, turned]), turned)

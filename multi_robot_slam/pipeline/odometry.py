@@ -30,7 +30,11 @@ JUMP = Refusal(
     "odometry jump", "no robot is that fast; correct it, or raise plausible.fastest_m_s, _rad_s"
 )
 AHEAD = Refusal("odometry stamp ahead", "an older sample came after it; correct the robot's clock")
-RESET = Refusal("odometry reset", "the robot goes on from where it was; do not reset odometry")
+RESET = Refusal(
+    "odometry reset",
+    "the robot goes on from where it was, less certain by what it may have driven meanwhile; do "
+    "not reset odometry",
+)
 
 
 class _Sample(NamedTuple):

@@ -21,7 +21,11 @@ from multi_robot_slam.models.motion import MotionSettings
 PARTICLES = 20_000
 
 
-def exact(moves, seen, start):
+EXTRA = np.array([0.4, 0.2, 0.0]) * (np.arange(STEPS) == 3)[:, None]
+"""A gap before one of the frames."""
+
+
+def exact(moves, seen, start, extra):
     """Kalman filter over x, y of the robot and all landmarks: mean, covariance."""
     size = 2 + 3 * LANDMARKS
     mean, covariance = np.zeros(size), np.diag([0.0] * 2 + [1e8] * (size - 2))
@@ -31,7 +35,7 @@ def exact(moves, seen, start):
     H[0::3, 0] = H[1::3, 1] = -1
     for t in range(STEPS):
         mean[:2] += moves[t]
-        covariance[:2, :2] += SIGMA_MOVE**2 * np.eye(2) * (t > 0)
+        covariance[:2, :2] += SIGMA_MOVE**2 * np.eye(2) * (t > 0) + np.diag(extra[t, :2] ** 2)
         S = H @ covariance @ H.T + SIGMA_SEE**2 * np.eye(len(H))
         K = np.linalg.solve(S, H @ covariance).T
         mean += K @ (seen[t].ravel() - H @ mean)
@@ -39,7 +43,7 @@ def exact(moves, seen, start):
     return mean, covariance
 
 
-def filtered(moves, seen, proposal, seed, start):
+def filtered(moves, seen, start, extra, proposal, seed):
     """Weighted mean and covariance of the same state, and the particles' effective number."""
     noise = MotionSettings(SIGMA_MOVE, SIGMA_MOVE, 0.0, 0.0)
     settings = FilterSettings(
@@ -57,7 +61,8 @@ def filtered(moves, seen, proposal, seed, start):
         camera = np.stack([-seen[t, :, 1], seen[t, :, 2], seen[t, :, 0]], axis=1)
         R = np.tile([SIGMA_SEE**2, 0, 0, SIGMA_SEE**2, 0, SIGMA_SEE**2], (LANDMARKS, 1))
         z = ObservationSet("", t, camera, R, descriptors)
-        frame = replace(linear_world.frame(t, moves[t], z), start=None if t else start)
+        frame = linear_world.frame(t, moves[t], z, extra[t])
+        frame = replace(frame, start=None if t else start)
         info = rbpf.step(state, [frame], settings, rng)
     landmarks = state.landmarks
     landmarks.bring_up_to_date(landmarks.alive())
@@ -80,11 +85,15 @@ BELIEVED = Start(
 
 
 @pytest.mark.parametrize("proposal", ["motion", "informed"])
-@pytest.mark.parametrize(("seed", "start"), [(0, KNOWN), (1, KNOWN), (0, BELIEVED)])
-def test_posterior_is_the_kalman_filter_s(proposal, seed, start):
+@pytest.mark.parametrize(
+    ("seed", "start", "extra"),
+    [(0, KNOWN, 0 * EXTRA), (1, KNOWN, 0 * EXTRA), (0, BELIEVED, 0 * EXTRA), (2, KNOWN, EXTRA)],
+)
+def test_posterior_is_the_kalman_filter_s(proposal, seed, start, extra):
     moves, seen = world(seed)
-    mean, covariance = exact(moves, seen, start)
-    estimate, spread, effective = filtered(moves, seen, proposal, seed, start)
+    moves[1:] += extra[1:, :2] / 2
+    mean, covariance = exact(moves, seen, start, extra)
+    estimate, spread, effective = filtered(moves, seen, start, extra, proposal, seed)
     assert effective > 100
     # The particles are correlated after resampling, so their number is a tenth at the least.
     error = np.sqrt(np.diag(covariance) / (PARTICLES / 10))

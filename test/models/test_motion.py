@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from multi_robot_slam.models.motion import (
+    NO_EXTRA,
     MotionSettings,
     increment,
     move,
@@ -118,3 +119,15 @@ def test_predicted_is_the_increment_in_reverse_and_certain_without_noise():
     np.testing.assert_allclose(increment(pose, where), u, atol=1e-12)
     assert -np.pi <= where[2] < np.pi
     assert not grown.any()
+
+
+def test_what_gaps_hide_is_added_in_quadrature():
+    u, noise, extra = np.array([0.7, 0.1, 0.3]), MotionSettings(), np.array([0.2, 0.1, 0.05])
+    told = standard_deviations(u, 0.5, noise)
+    more = standard_deviations(u, 0.5, noise, extra)
+    np.testing.assert_allclose(more**2, told**2 + extra**2)
+    np.testing.assert_array_equal(standard_deviations(u, 0.5, noise, NO_EXTRA), told)
+    _, wider = predicted(np.zeros(3), np.zeros((3, 3)), u, 0.5, noise, extra)
+    np.testing.assert_allclose(np.diag(wider), more**2)
+    xx, _, yy, yaw = spread(u, 0.5, noise, extra)
+    np.testing.assert_allclose([xx + yy, yaw], [more[0] ** 2 + more[1] ** 2, more[2] ** 2])

@@ -92,3 +92,23 @@ def test_a_run_finds_the_factors():
             particles.step(frames)
         found.append(particles.state.scales.factors)
     np.testing.assert_allclose(np.mean(found, axis=(0, 1)), TRUE, atol=0.02)
+
+
+def test_what_gaps_hide_counts_in_smoothing():
+    """A record's extra widens its motion alone, and the filter's record has that of the frame."""
+    settings = worlds.settings(particles=5, proposal="informed", gate=1e3)
+    state = rbpf.init(worlds.START, settings, np.float64)
+    extra = np.array([0.3, 0.2, 0.1])
+    for step, frames in enumerate(worlds.drive(0, 4)):
+        told = [replace(f, extra=extra) if (step, f.robot) == (2, 1) else f for f in frames]
+        rbpf.step(state, told, settings, np.random.default_rng(0))
+    records = [record for record, _ in list(state.history.lineage(0))[::-1]]
+    identities = [record.matches[:, 0] for record in records]
+    prior = Prior.exact(worlds.START)
+    wide = problem_of(records, identities, prior, NOISE).sigmas
+    without = [replace(record, extra=np.zeros(3)) for record in records]
+    narrow = problem_of(without, identities, prior, NOISE).sigmas
+    is_it = np.array([(record.step, record.robot) == (3, 1) for record in records])
+    assert is_it.sum() == 1
+    np.testing.assert_allclose(wide[is_it] ** 2, narrow[is_it] ** 2 + extra**2)
+    np.testing.assert_array_equal(wide[~is_it], narrow[~is_it])
