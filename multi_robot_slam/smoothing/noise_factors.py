@@ -42,6 +42,8 @@ from multi_robot_slam.smoothing.solve import Smoothed
 DRAWS = 64
 """M: redundancies of some hundred unknowns come within one in a hundred, S within three."""
 
+SIGNS = np.array([-1, 1], np.float32)
+
 TOLD = 2.0
 """Degrees of freedom that stand for what was told: as if a factor were known to 1 / sqrt(2 TOLD).
 
@@ -151,6 +153,8 @@ def shares_of(problem: Problem, smoothed: Smoothed, draws: int = DRAWS) -> Share
     robots = problem.robots[len(problem.anchors) :]
     count = 2 * (int(problem.robots.max()) + 1)
     moving = (problem.sigmas > SMALLEST_SIGMA).all(axis=1)
+    if problem.with_gaps is not None:
+        moving &= ~problem.with_gaps
     of_odometry = np.where(moving, 2 * robots, -1)
     seers = np.append(problem.robots, np.full(len(smoothed.centres), -1))[problem.seen_from]
     of_observations = np.where(seers >= 0, 2 * seers + 1, -1)
@@ -162,14 +166,16 @@ def shares_of(problem: Problem, smoothed: Smoothed, draws: int = DRAWS) -> Share
             grams[group] = flat.T @ flat
     landmarks, by_landmarks = _by_landmarks(problem, smoothed, of_observations, count)
     own_odometry = 1 - np.square(changes[0]).mean(axis=2)
-    own_observations = 1 - np.square(changes[1]).mean(axis=2).mean(axis=1) - by_landmarks / 3
+    squares = np.einsum("oim,oim->o", changes[1], changes[1], dtype=float)
+    own_observations = 1 - (squares / draws + by_landmarks) / 3
     redundancies = np.zeros(count)
     np.add.at(redundancies, of_odometry[moving], own_odometry[moving].sum(axis=1))
     mine = of_observations >= 0
     np.add.at(redundancies, of_observations[mine], 3 * own_observations[mine])
-    pairs = np.triu_indices(draws, 1)
-    between = np.array([gram[pairs] for gram in grams])
-    matrix = (between @ between.T / len(pairs[0]) + landmarks + 2 * mixed).clip(min=0)
+    grams[:, np.arange(draws), np.arange(draws)] = 0  # y with itself is no pair
+    between = grams.reshape(count, -1)
+    pairs = draws * (draws - 1)
+    matrix = (between @ between.T / pairs + landmarks + 2 * mixed).clip(min=0)
     np.fill_diagonal(matrix, 0)
     np.fill_diagonal(matrix, (redundancies - matrix.sum(axis=1)).clip(min=0))
     return Shares(matrix, (of_odometry, of_observations), (own_odometry, own_observations))
@@ -182,7 +188,7 @@ def _changes(
 
     And tr(A_gh B_hg) (G, G) of different groups; `count` is G.
     """
-    signs = np.random.default_rng(0).choice([-1.0, 1.0], (smoothed.factor.size, draws))
+    signs = np.random.default_rng(0).choice(SIGNS, (smoothed.factor.size, draws))
     moves = smoothed.factor.solve_upper(signs)[: problem.columns[-1]]
     of_poses, of_centres = np.split(moves, [3 * problem.poses])
     of_centres = np.pad(of_centres.reshape(-1, 2, draws), ((0, 0), (0, 1), (0, 0)))
@@ -194,7 +200,7 @@ def _changes(
     ends = np.concatenate([of_views[problem.previous], own], axis=1)
     mixed = np.zeros((count, count))
     of_robots = np.zeros((count // 2, count // 2))
-    changes = np.empty((len(problem.positions), 3, draws))
+    changes = np.empty((len(problem.positions), 3, draws), np.float32)
     observation_changes(
         problem.observations(smoothed.weights),
         smoothed.views,
@@ -260,39 +266,55 @@ def truncated_variance(
 
         E[chi2_k | chi2_k < c] = k F_{k+2}(c) / F_k(c)
 
+    and log phi is known as if only so much of the redundancy were there (`_information`).
     """
     apart = squares / redundancies.clip(min=LEAST_REDUNDANCY)
     order = np.argsort(apart, kind="stable")
     apart = apart[order]
     sums, all_redundancies = np.cumsum(squares[order]), np.cumsum(redundancies[order])
-    quantile = float(chdtri(freedom, 1 - INSIDE))
-    variance = np.inf
+    quantile, variance = float(chdtri(freedom, 1 - INSIDE)), np.inf
     for _ in range(MOST_ROUNDS):
         cut, before = min(limit, quantile * variance), variance
         last = int(np.searchsorted(apart, cut, side="right")) - 1
         if last < 0 or all_redundancies[last] <= 0:
-            return variance, 0.0
+            return 1.0, 0.0
         mean = sums[last] / (freedom * all_redundancies[last])
-        variance = _variance_of(mean, freedom, cut)
+        variance = _variance_of(mean, freedom, cut, quantile)
         if abs(variance - before) < SMALL_CHANGE * before:
             break
-    return variance, float(all_redundancies[last] / max(all_redundancies[-1], 1e-300))
+    share = float(all_redundancies[last] / max(all_redundancies[-1], 1e-300))
+    return variance, share * _information(freedom, cut / variance)
 
 
-MOST_ROUNDS = 50
+MOST_ROUNDS = 10
 SMALL_CHANGE = 1e-3
 """Of a variance, far below its error."""
 
 
-def _variance_of(mean: float, freedom: int, cut: float) -> float:
-    """The phi, 1 / MOST .. MOST, whose chi2 below `cut` has the mean `freedom` times `mean`."""
+def _variance_of(mean: float, freedom: int, cut: float, quantile: float) -> float:
+    """The phi, 1 / MOST .. MOST, whose chi2 below `cut` has the mean `freedom` times `mean`.
+
+    Below the `quantile` of phi chi2, if that is less than `cut`.
+    """
 
     def lacking(variance: float) -> float:
-        c = cut / variance
-        return variance * float(chdtr(freedom + 2, c) / chdtr(freedom, c)) - mean
+        return variance * _mean(freedom, min(cut / variance, quantile)) - mean
 
+    untouched = mean / _mean(freedom, quantile)
+    if untouched * quantile <= cut:
+        return float(np.clip(untouched, 1 / MOST, MOST))
     if lacking(MOST) <= 0:
         return MOST
-    if lacking(1 / MOST) >= 0:
-        return 1 / MOST
-    return float(brentq(lacking, 1 / MOST, MOST, xtol=1e-6))
+    return float(brentq(lacking, 1 / MOST, MOST, xtol=SMALL_CHANGE / MOST))
+
+
+def _mean(freedom: int, cut: float) -> float:
+    """E[chi2 | chi2 < cut] over its degrees of freedom."""
+    return float(chdtr(freedom + 2, cut) / chdtr(freedom, cut))
+
+
+def _information(freedom: int, cut: float) -> float:
+    """What a chi2 cut off tells of its scale over what a whole one does: Var(chi2 | < c) / 2 k."""
+    mean = freedom * _mean(freedom, cut)
+    square = freedom * (freedom + 2) * float(chdtr(freedom + 4, cut) / chdtr(freedom, cut))
+    return (square - mean**2) / (2 * freedom)

@@ -71,6 +71,8 @@ class Problem:
     ids: np.ndarray
     """(N,) int64: identity of each landmark, ascending."""
     sighted: PoseSightings = field(default_factory=PoseSightings.none)
+    with_gaps: np.ndarray | None = None
+    """(P,) bool: motions whose sigmas hold what a gap hides; None: of none."""
 
     @property
     def anchors(self) -> np.ndarray:
@@ -178,6 +180,7 @@ def problem_of(
         information=information[order],
         ids=ids,
         sighted=_sighted(records, len(anchors)),
+        with_gaps=np.any(extra > 0, axis=1),
     )
 
 

@@ -13,22 +13,24 @@ from multi_robot_slam.smoothing.kernels.landmarks import turned
 def observation_changes(observations, views, landmarks, robots, moves, changes, mixed):
     """Whitened changes (O, 3, M) of e_o to first order, landmarks following at their best.
 
-    `moves` (V, 3, M) of the views. With the upper root U^T U = W of each observation's information
-    in `map` a change is U e, e = J dx + dl, dl = -Lambda^-1 sum W J dx. `mixed` (K, K): the mean
-    over M of sum_n g_i^T Lambda^-1 g_j, g_i = sum W e of the observations of robot i, by `robots`
-    (O,), -1: of none.
+    `moves` (V, 3, M) of the views, in whose precision it is computed. With the upper root
+    U^T U = W of each observation's information in `map` a change is U e, e = J dx + dl,
+    dl = -Lambda^-1 sum W J dx. `mixed` (K, K): the mean over M of sum_n g_i^T Lambda^-1 g_j,
+    g_i = sum W e of the observations of robot i, by `robots` (O,), -1: of none.
     """
     starts, seen_from, _, information = observations
-    draws = moves.shape[2]
-    pull, spread = np.empty((3, draws)), np.empty((3, draws))
-    of_robots, sees = np.zeros((len(mixed), 3, draws)), np.zeros(len(mixed), np.bool_)
+    draws, single = moves.shape[2], moves.dtype.type
+    pull, spread = np.empty((3, draws), moves.dtype), np.empty((3, draws), moves.dtype)
+    of_robots = np.zeros((len(mixed), 3, draws), moves.dtype)
+    sees = np.zeros(len(mixed), np.bool_)
     mixed[:] = 0
     for n in range(len(landmarks)):
         pull[:] = 0
         for o in range(starts[n], starts[n + 1]):
             view, move, change = views[seen_from[o]], moves[seen_from[o]], changes[o]
             xx, xy, xz, yy, yz = turned(information[o], np.cos(view[2]), np.sin(view[2]))
-            q_x, q_y = landmarks[n, 0] - view[0], landmarks[n, 1] - view[1]
+            xx, xy, xz, yy, yz = single(xx), single(xy), single(xz), single(yy), single(yz)
+            q_x, q_y = single(landmarks[n, 0] - view[0]), single(landmarks[n, 1] - view[1])
             for m in range(draws):
                 x, y = q_y * move[2, m] - move[0, m], -q_x * move[2, m] - move[1, m]
                 change[0, m], change[1, m] = x, y
@@ -49,6 +51,9 @@ def observation_changes(observations, views, landmarks, robots, moves, changes, 
             u_yy = np.sqrt(max(yy - u_xy * u_xy, 0.0))
             u_yz = over(yz - u_xy * u_xz, u_yy)
             u_zz = np.sqrt(max(zz - u_xz * u_xz - u_yz * u_yz, 0.0))
+            xx, xy, xz, yy, yz = single(xx), single(xy), single(xz), single(yy), single(yz)
+            u_xx, u_xy, u_xz = single(u_xx), single(u_xy), single(u_xz)
+            u_yy, u_yz, u_zz, zz = single(u_yy), single(u_yz), single(u_zz), single(zz)
             for m in range(draws):
                 x, y, z = change[0, m] + spread[0, m], change[1, m] + spread[1, m], spread[2, m]
                 change[0, m] = u_xx * x + u_xy * y + u_xz * z
@@ -78,7 +83,9 @@ def over(a, b):
 @kernel
 def spread_by(landmark, pull, result):
     """Lambda^-1 `pull` (3, M) -> `result`, of a landmark (9,)."""
-    xx, xy, xz, yy, yz, zz = landmark[3:]
+    single = pull.dtype.type
+    xx, xy, xz = single(landmark[3]), single(landmark[4]), single(landmark[5])
+    yy, yz, zz = single(landmark[6]), single(landmark[7]), single(landmark[8])
     for m in range(pull.shape[1]):
         x, y, z = pull[0, m], pull[1, m], pull[2, m]
         result[0, m] = xx * x + xy * y + xz * z
