@@ -153,7 +153,7 @@ def aligned(team: Team) -> Team:
     }
 
 
-def error(team: Team, names: Iterable[str] | None = None, since_ns: int = START_NS) -> float | None:
+def error(team: Team, names: Iterable[str] | None = None, since_ns: int = 0) -> float | None:
     """RMS of the errors of position of the robots `names` (all) from a stamp on [m]."""
     wanted = team.keys() if names is None else team.keys() & set(names)
     pooled = [np.empty((0, 3)), *(team[name].since(since_ns).errors for name in sorted(wanted))]

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from msg_defs.errors import InputError
-from msg_defs.types import ObservationSet, PoseSample
+from msg_defs.types import LandmarkMap, ObservationSet, PoseSample
 from multi_robot_slam.models.motion import increment, wrap
-from multi_robot_slam.runs.trajectory_errors import at
+from multi_robot_slam.runs.trajectory_errors import at, rotation
 from multi_robot_slam.studies import (
     accuracy,
     hard,
@@ -503,6 +503,83 @@ def test_a_meeting_is_when_a_culprit_and_another_have_seen_one_landmark():
     assert hard_figures.first_meeting(told) == 4
     told.culprits = ("d",)
     assert hard_figures.first_meeting(told) == 9
+
+
+def test_frames_that_can_tell_see_two_landmarks_seen_before_the_difference():
+    truth = {
+        ("a", 1): np.array([1, 2]),
+        ("b", 2): np.array([3]),
+        ("a", 3): np.array([1, 3, 9]),
+        ("a", 4): np.array([1, 9]),
+        ("b", 5): np.array([1, 2]),
+        ("a", 6): np.array([2, 3]),
+        ("a", 7): np.array([2, 3]),
+    }
+    events = [SimpleNamespace(robot=robot, stamp_ns=stamp) for robot, stamp in truth]
+    told = SimpleNamespace(
+        recorded=SimpleNamespace(observation_truth=truth), culprits=("a",), events=events
+    )
+    assert hard_figures.telling_frames(told, 2, 6) == 2
+    assert hard_figures.telling_frames(told, 2, 7) == 3
+    told.events = events[:-1]
+    assert hard_figures.telling_frames(told, 2, 7) == 2
+
+
+def test_the_factor_that_differs_is_the_one_that_is_judged():
+    factors = np.array([[3.3, 1.5], [3.0, 0.5]])
+    assert hard_figures.factor_off(factors, (3.0, 1.0)) == pytest.approx(0.1 / np.sqrt(2))
+    assert hard_figures.factor_off(factors / (3, 1), (1.0, 0.5)) == pytest.approx(np.sqrt(2))
+    assert hard_figures.factor_off(np.full((2, 2), 1.1), (1.0, 1.0)) == pytest.approx(0.1)
+
+
+def test_a_team_that_is_turned_as_one_has_no_error_after_aligning_and_its_nees_is_kept():
+    rng = np.random.default_rng(0)
+    turn = np.eye(3)
+    turn[:2, :2] = rotation(0.3)
+    team, noisy = {}, {}
+    for name in "ab":
+        truth = rng.uniform(-5, 5, (50, 3))
+        spread = np.tile(np.diag([0.04, 0.01, 0.01]), (50, 1, 1))
+        poses = truth @ turn.T + np.array([1.0, 2.0, 0.3])
+        team[name] = hard_figures.Published(np.arange(50), poses, turn @ spread @ turn.T, truth)
+        noisy[name] = team[name]._replace(poses=poses + np.array([0.0, 0.0, 0.1]))
+    assert hard_figures.error(team) > 1
+    straight = hard_figures.aligned(team)
+    assert hard_figures.error(straight) == pytest.approx(0, abs=1e-9)
+    assert straight["a"].covariances == pytest.approx(spread)
+    heading = hard_figures.aligned(noisy)["b"].errors[:, 2]
+    assert heading == pytest.approx(0.1)
+
+
+def test_errors_are_of_the_robots_and_the_time_asked_for():
+    def still(x):
+        poses = np.zeros((4, 3))
+        poses[:, 0] = [0, 0, x, x]
+        return hard_figures.Published(np.arange(4), poses, np.zeros((4, 3, 3)), np.zeros((4, 3)))
+
+    team = {"a": still(3.0), "b": still(4.0)}
+    assert hard_figures.error(team, since_ns=0) == pytest.approx(2.5)
+    assert hard_figures.error(team, since_ns=2) == pytest.approx(np.sqrt(12.5))
+    assert hard_figures.error(team, ["b"], 2) == pytest.approx(4.0)
+    assert hard_figures.error(team, [], 2) is None
+
+
+def test_old_places_are_landmarks_of_the_map_where_what_moved_was():
+    places = np.array([[0.0, 0, 0], [1.4, 0, 0], [0.1, 0, 0], [5, 5, 0]], np.float32)
+    numbers = np.ones(4, np.uint32)
+    landmarks = LandmarkMap(
+        np.arange(4, dtype=np.uint32), places, np.ones((4, 6)), numbers, numbers, np.zeros((4, 128))
+    )
+    frame = SimpleNamespace(robot="a", landmarks=np.arange(4), is_new=np.ones(4, bool))
+    run = SimpleNamespace(
+        robots={"a": None},
+        landmarks=landmarks,
+        steps=[SimpleNamespace(stamp_ns=1, frames=[frame])],
+        observation_truth={("a", 1): np.array([7, 8, 7, 9])},
+    )
+    old = {7: np.zeros(3), 8: np.array([0.4, 0, 0])}
+    made = SimpleNamespace(run=run, told=SimpleNamespace(old_places=old))
+    assert hard_figures.old_places(made) == 1
 
 
 @pytest.fixture(scope="module")
