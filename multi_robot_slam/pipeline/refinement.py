@@ -34,8 +34,8 @@ AT_A_TIME = 64
 
 SMALLEST_CHANGE = 1e-4
 """Change of the odometry's factors below which paths and factors are done: 1 mm in 10 m."""
-NOISE_CHANGE = 1e-3
-"""The same of the factors of noise, which are known to a hundredth at best."""
+NOISE_CHANGE = 0.01
+"""The same of the factors of noise, relative: they are known to a hundredth at best."""
 MOST_ROUNDS = 20
 """Times that paths and factors are estimated in turn; a usual run needs four."""
 

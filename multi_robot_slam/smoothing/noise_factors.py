@@ -51,7 +51,7 @@ Half of it: who measures noise at all is seldom off by more than that.
 """
 
 INSIDE = 0.99
-"""Share of right residuals that count; what is further out may be a gross error, or a slip."""
+"""Quantile beyond which a residual counts as if it lay there: for an error, or a slip."""
 
 MOST = 16.0
 """Largest factor on variances that is read out of residuals in one go, and over 1 the smallest.
@@ -260,61 +260,50 @@ def truncated_variance(
 ) -> tuple[float, float]:
     """Variance phi of n sums of squares, redundancy times phi chi2, and the share that tells.
 
-    Over its redundancy one is how far the others put it from themselves. Only those count up to
-    `limit`, where others may be missing, and up to the quantile INSIDE of phi chi2 with `freedom`
-    degrees each: the mean of those that do is that of a chi2 cut off there,
+    Over its redundancy one is how far the others put it from themselves. Only those up to `limit`
+    count, beyond which others are missing, and none counts for more than q, the quantile INSIDE of
+    chi2 with k = `freedom` degrees: phi is where the mean of those that count is that of
 
-        E[chi2_k | chi2_k < c] = k F_{k+2}(c) / F_k(c)
+        E[min(chi2, q) | chi2 < c = limit / phi]
+            = (k F_{k+2}(min(q, c)) + q (F_k(c) - F_k(min(q, c)))) / F_k(c)
 
-    and log phi is known as if only so much of the redundancy were there (`_information`).
+    and the logarithm of phi is known as if there were so much less of the redundancy as
+    `_information` says.
     """
-    apart = squares / redundancies.clip(min=LEAST_REDUNDANCY)
-    order = np.argsort(apart, kind="stable")
-    apart = apart[order]
-    sums, all_redundancies = np.cumsum(squares[order]), np.cumsum(redundancies[order])
-    quantile, variance = float(chdtri(freedom, 1 - INSIDE)), np.inf
-    for _ in range(MOST_ROUNDS):
-        cut, before = min(limit, quantile * variance), variance
-        last = int(np.searchsorted(apart, cut, side="right")) - 1
-        if last < 0 or all_redundancies[last] <= 0:
-            return 1.0, 0.0
-        mean = sums[last] / (freedom * all_redundancies[last])
-        variance = _variance_of(mean, freedom, cut, quantile)
-        if abs(variance - before) < SMALL_CHANGE * before:
-            break
-    share = float(all_redundancies[last] / max(all_redundancies[-1], 1e-300))
-    return variance, share * _information(freedom, cut / variance)
-
-
-MOST_ROUNDS = 10
-SMALL_CHANGE = 1e-3
-"""Of a variance, far below its error."""
-
-
-def _variance_of(mean: float, freedom: int, cut: float, quantile: float) -> float:
-    """The phi, 1 / MOST .. MOST, whose chi2 below `cut` has the mean `freedom` times `mean`.
-
-    Below the `quantile` of phi chi2, if that is less than `cut`.
-    """
+    apart, quantile = squares / redundancies.clip(min=LEAST_REDUNDANCY), _quantile(freedom)
+    inside = apart <= limit
+    total = redundancies[inside].sum()
+    if total <= 0:
+        return 1.0, 0.0
+    counted = squares[inside]
+    most = quantile * redundancies[inside].clip(min=LEAST_REDUNDANCY)
 
     def lacking(variance: float) -> float:
-        return variance * _mean(freedom, min(cut / variance, quantile)) - mean
+        mean = np.minimum(counted / variance, most).sum() / total
+        return float(mean - _mean(freedom, limit / variance, quantile))
 
-    untouched = mean / _mean(freedom, quantile)
-    if untouched * quantile <= cut:
-        return float(np.clip(untouched, 1 / MOST, MOST))
-    if lacking(MOST) <= 0:
-        return MOST
-    return float(brentq(lacking, 1 / MOST, MOST, xtol=SMALL_CHANGE / MOST))
+    variance = MOST
+    if lacking(1 / MOST) <= 0:
+        variance = 1 / MOST
+    elif lacking(MOST) < 0:
+        variance = float(brentq(lacking, 1 / MOST, MOST, xtol=1e-4))
+    share = float(total / redundancies.sum())
+    return variance, min(share, 1.0) * _information(freedom, limit / variance)
 
 
-def _mean(freedom: int, cut: float) -> float:
-    """E[chi2 | chi2 < cut] over its degrees of freedom."""
-    return float(chdtr(freedom + 2, cut) / chdtr(freedom, cut))
+def _quantile(freedom: int) -> float:
+    return float(chdtri(freedom, 1 - INSIDE))
+
+
+def _mean(freedom: int, cut: float, most: float) -> float:
+    """E[min(chi2, most) | chi2 < cut]."""
+    below = min(cut, most)
+    above = most * (chdtr(freedom, cut) - chdtr(freedom, below))
+    return float((freedom * chdtr(freedom + 2, below) + above) / chdtr(freedom, cut))
 
 
 def _information(freedom: int, cut: float) -> float:
     """What a chi2 cut off tells of its scale over what a whole one does: Var(chi2 | < c) / 2 k."""
-    mean = freedom * _mean(freedom, cut)
+    mean = freedom * float(chdtr(freedom + 2, cut) / chdtr(freedom, cut))
     square = freedom * (freedom + 2) * float(chdtr(freedom + 4, cut) / chdtr(freedom, cut))
     return (square - mean**2) / (2 * freedom)

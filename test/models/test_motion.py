@@ -131,3 +131,18 @@ def test_what_gaps_hide_is_added_in_quadrature():
     np.testing.assert_allclose(np.diag(wider), more**2)
     xx, _, yy, yaw = spread(u, 0.5, noise, extra)
     np.testing.assert_allclose([xx + yy, yaw], [more[0] ** 2 + more[1] ** 2, more[2] ** 2])
+
+
+def test_a_factor_is_on_the_noise_and_not_on_what_a_gap_hides():
+    noise, motion = MotionSettings(0.1, 0.2, 0.3, 0.4), np.array([1.0, 0.5, -0.3])
+    extra = np.array([0.3, 0.0, 0.1])
+    told = standard_deviations(motion, 2.0, noise)
+    found = standard_deviations(motion, 2.0, noise, extra, 3.0)
+    np.testing.assert_allclose(found, np.hypot(3 * told, extra))
+    start, known = np.array([1.0, 2.0, 0.5]), 0.01 * np.eye(3)
+    _, once = predicted(start, known, motion, 2.0, noise)
+    _, grown = predicted(start, known, motion, 2.0, noise, factor=3.0)
+    _, certain = predicted(start, known, motion, 2.0, MotionSettings(0, 0, 0, 0))
+    np.testing.assert_allclose(grown - certain, 9 * (once - certain), atol=1e-12)
+    told, found = (spread(motion, 2.0, noise, factor=factor) for factor in (1.0, 3.0))
+    np.testing.assert_allclose(found, 9 * told)

@@ -131,6 +131,22 @@ def test_factors_of_the_odometry_are_found(explored):
         assert_same_paths(refinement.refine(told, landmarks, config).paths, expected, atol=5e-3)
 
 
+def test_paths_and_noise_that_is_learnt_agree(explored):
+    lineage, _ = explored.perfect()
+    config = explored.config
+    config = replace(config, filter=replace(config.filter, learn_noise=True))
+    records = [record for record, _ in lineage]
+    poses = np.array([record.poses[:, row] for record, row in lineage])
+    seen = [record.matches[:, row] for record, row in lineage]
+    nothing = refinement.Learnt.nothing(config)
+    problem, smoothed, known = refinement._smooth(records, seen, poses, nothing, 11.345, config)
+    motions = np.array([record.motion for record in records])
+    again = refinement._learnt(known, problem, smoothed, motions, config)
+    np.testing.assert_allclose(again.noise.used, known.noise.used, rtol=0.01)
+    assert (known.noise.used != 1).all()
+    np.testing.assert_allclose(known.noise.used[:, 1], 1, atol=0.1)
+
+
 def test_perfect_associations_are_refined_to_the_yardstick(explored):
     lineage, landmarks = explored.perfect()
     refined = refinement.refine(lineage, landmarks, deaf(explored.config))
