@@ -14,6 +14,7 @@ from multi_robot_slam.filter.rbpf import StepInfo
 from multi_robot_slam.filter.settings import FilterSettings
 from multi_robot_slam.filter.state import State
 from multi_robot_slam.models.frames import RobotFrame
+from multi_robot_slam.monitor import learnt_noise
 from multi_robot_slam.monitor.in_view import InView
 from multi_robot_slam.monitor.innovations import Innovations
 from multi_robot_slam.monitor.predictions import Predictions, predict
@@ -68,14 +69,24 @@ class Monitor:
         return [predict(state, frame, self._settings) for frame in frames]
 
     def judge(
-        self, frames: Sequence[RobotFrame], info: StepInfo, predicted: Sequence[Predictions]
+        self,
+        state: State,
+        frames: Sequence[RobotFrame],
+        info: StepInfo,
+        predicted: Sequence[Predictions],
     ) -> tuple[Verdict, ...]:
-        """The verdict on the robot of each frame, now that the step was done."""
+        """The verdict on the robot of each frame, now that the step was done and led to `state`."""
         for frame, seen, own in zip(frames, predicted, info.frames, strict=True):
             self._note(frame, seen)
             self._note_created(frame.robot, own.new_ids)
         wrong = blamed(self._findings)
-        return tuple(verdict(self._findings, frame.robot, wrong) for frame in frames)
+        return tuple(
+            verdict(self._findings, robot, wrong, self._learnt(state, robot))
+            for robot in (frame.robot for frame in frames)
+        )
+
+    def _learnt(self, state: State, robot: int) -> learnt_noise.Found:
+        return learnt_noise.found(state, robot, self._findings[robot].name, self._settings)
 
     def _note(self, frame: RobotFrame, seen: Predictions) -> None:
         found = self._findings[frame.robot]

@@ -98,6 +98,7 @@ class Predictions(NamedTuple):
 def predict(state: State, frame: RobotFrame, settings: FilterSettings) -> Predictions:
     """What `state`, which is only read, expects of `frame`; nothing where it is not usable."""
     landmarks = state.landmarks
+    frame = frame.with_noise(state.noise.used[frame.robot, 1])
     if not are_usable(frame.positions, frame.covariances, FAR / 2):
         return Predictions.none()
     alive = landmarks.alive()
@@ -107,6 +108,8 @@ def predict(state: State, frame: RobotFrame, settings: FilterSettings) -> Predic
     rows, columns = chosen[pairs], alive[found]
     particles = _spread(settings.particles, PARTICLES)
     poses = state.poses[frame.robot][:, particles]
+    if frame.start is not None:
+        poses[:] = frame.start.mean[:, None]
     weights = resampling.normalise(state.log_weights[particles])
     motion.move(poses, scaled(frame.motion, state.scales.factors[frame.robot])[:, None])
     mean = poses @ weights
@@ -118,7 +121,8 @@ def predict(state: State, frame: RobotFrame, settings: FilterSettings) -> Predic
     rows, columns, moments = rows[is_held], columns[is_held], moments[is_held]
     expected = moments[:, :3]
     spread = unpack(moments[:, 3:9] + moments[:, 9:] + frame.covariances[rows])
-    spread += _of_motion(frame, expected, settings)
+    factor = state.noise.used[frame.robot, 0]
+    spread += _of_pose(expected, _pose_covariance(frame, settings, factor, mean[2]))
     innovations = frame.positions[rows] - expected
     squared = np.einsum(
         "pi,pi->p", innovations, np.linalg.solve(spread, innovations[..., None])[..., 0]
@@ -136,14 +140,27 @@ def predict(state: State, frame: RobotFrame, settings: FilterSettings) -> Predic
     )
 
 
-def _of_motion(frame: RobotFrame, expected: np.ndarray, settings: FilterSettings) -> np.ndarray:
-    """H Q H^T (P, 3, 3): what the motion (7) adds at the `expected` places (P, 3)."""
-    xx, xy, yy, turn = motion.spread(frame.motion, frame.seconds, settings.motion)
-    noise = np.array([[xx, xy, 0], [xy, yy, 0], [0, 0, turn]])
+def _pose_covariance(
+    frame: RobotFrame, settings: FilterSettings, factor: float, yaw: float
+) -> np.ndarray:
+    """Q (3, 3) of the pose that the motion (7) led to, in its own frame; at the start, of that."""
+    xx, xy, yy, turn = motion.spread(
+        frame.motion, frame.seconds, settings.motion, frame.extra, factor
+    )
+    result = np.array([[xx, xy, 0], [xy, yy, 0], [0, 0, turn]])
+    if frame.start is not None:
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        turned = np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]])
+        result += turned @ frame.start.covariance @ turned.T
+    return result
+
+
+def _of_pose(expected: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """H Q H^T (P, 3, 3): what the pose's covariance adds at the `expected` places (P, 3)."""
     by_pose = np.zeros((len(expected), 3, 3))
     by_pose[:, 0, 0] = by_pose[:, 1, 1] = -1
     by_pose[:, 0, 2], by_pose[:, 1, 2] = expected[:, 1], -expected[:, 0]
-    return by_pose @ noise @ by_pose.transpose(0, 2, 1)
+    return by_pose @ covariance @ by_pose.transpose(0, 2, 1)
 
 
 def _spread(count: int, most: int) -> np.ndarray:

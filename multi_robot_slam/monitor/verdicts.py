@@ -8,6 +8,7 @@ import numpy as np
 
 from msg_defs.types import Verdict
 from multi_robot_slam.models.motion import increment, move, wrap
+from multi_robot_slam.monitor import learnt_noise
 from multi_robot_slam.monitor.alignment import Alignment
 from multi_robot_slam.monitor.evidence import LOG_ALARM
 from multi_robot_slam.monitor.in_view import InView
@@ -83,10 +84,15 @@ def _agreements(team: Sequence[Findings], i: int) -> int:
     )
 
 
-def verdict(team: Sequence[Findings], robot: int, wrong: dict[int, tuple[int, bool]]) -> Verdict:
-    """The verdict on one robot; `wrong` as `blamed` gives it."""
+def verdict(
+    team: Sequence[Findings],
+    robot: int,
+    wrong: dict[int, tuple[int, bool]],
+    learnt: learnt_noise.Found,
+) -> Verdict:
+    """The verdict on one robot; `wrong` as `blamed` gives it, `learnt` of its noise."""
     own = team[robot]
-    numbers = _numbers(own, robot)
+    numbers = _numbers(own, robot) | learnt.numbers
     if own.recognised[robot].evidence.is_alarming:
         return _lost(own, own.recognised[robot].offset(), "itself", numbers)
     if own.in_view.evidence.is_alarming:
@@ -97,9 +103,11 @@ def verdict(team: Sequence[Findings], robot: int, wrong: dict[int, tuple[int, bo
         if since_start:
             return _start_wrong(own, team[other].name, offset, numbers)
         return _lost(own, offset, team[other].name, numbers)
+    if learnt.is_wrong:
+        return Verdict(own.name, "noisier than told", learnt.cause, learnt.remedy, numbers)
     if own.innovations.evidence.is_alarming:
         return _noisier(own, numbers)
-    return Verdict(own.name, "consistent", numbers=numbers)
+    return Verdict(own.name, "consistent", learnt.cause, learnt.remedy, numbers)
 
 
 def _numbers(own: Findings, robot: int) -> dict[str, float]:

@@ -223,7 +223,7 @@ class Pipeline:
             self._reorder.use(frames)
             for reason in info.rejuvenated.failures if info.rejuvenated else ():
                 self._tell_of_no_smoothing(frames[0].stamp_ns, reason)
-            verdicts = self._monitor.judge(frames, info, expected)
+            verdicts = self._monitor.judge(self._particles.state, frames, info, expected)
             self._levels.tell(frames[0].stamp_ns, verdicts)
             took_ms = (time.perf_counter() - start) * 1e3
             state = self._particles.state

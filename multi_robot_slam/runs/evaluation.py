@@ -12,6 +12,7 @@ import numpy as np
 
 from msg_defs.types import LandmarkMap
 from multi_robot_slam.models.symmetric import unpack
+from multi_robot_slam.runs import levels
 from multi_robot_slam.runs.associations import (
     Associations,
     Origins,
@@ -54,6 +55,8 @@ def evaluate(run: Run) -> Figures:
     `pose_nees`: normalised error of mean and covariance as published; 3 is consistent.
     `frames`, `keyframes`: how many of its frames could be used, and how many became steps.
     `association_precision`, `association_recall`: see `association_quality`.
+    `worst_level`: what the monitor said at worst (`levels`); of each robot also `level`, at the
+    end, and `worst_level_at_s`, `worst_level_cause`, `worst_level_remedy`.
 
     Of the team alone:
 
@@ -74,6 +77,7 @@ def evaluate(run: Run) -> Figures:
     durations = [step.duration_ms for step in run.steps]
     for index, (name, figures) in enumerate(robots.items()):
         figures |= _frame_figures(run, [name])
+        figures |= levels.of_robot(run.steps, name)
         figures |= _association_figures(observed, origin, observed.robots == index)
     return {
         **team,
@@ -84,6 +88,7 @@ def evaluate(run: Run) -> Figures:
         "step_ms_max": float(np.max(durations)) if durations else None,
         "steps": len(run.steps),
         **_frame_figures(run, robots),
+        **levels.of_team(run.steps),
         "particles": run.config.filter.particles,
         "seed": run.config.seed,
         "bag": None if run.bag is None else str(run.bag),

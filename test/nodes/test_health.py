@@ -1,13 +1,14 @@
 """What `/diagnostics` says, and when it is an error."""
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from helpers import fake_run
 
 from msg_defs import wire
-from msg_defs.types import FrameCount
+from msg_defs.types import FrameCount, Verdict
 from multi_robot_slam.nodes.health import Health
 from multi_robot_slam.pipeline.pipeline import FAILED_STEP
 from multi_robot_slam.runs import estimates
@@ -118,3 +119,21 @@ def test_topics_that_were_never_heard_are_told():
     one, _ = health()
     values = one.statuses(0, 0, Counter(), {"/robot_1/odom": "nothing heard"}, NO_FRAMES)[0].values
     assert values["unheard: /robot_1/odom"] == "nothing heard"
+
+
+def test_a_robots_level_is_that_of_its_verdict_with_cause_remedy_and_numbers():
+    one, _ = health()
+    lost = Verdict("robot_2", "lost", "slipped", "start anew", {"offset x [m]": 1.5})
+    one.note(replace(STEP, verdicts=(Verdict("robot_1", "consistent"), lost)), 0)
+    for robot in ("robot_1", "robot_2"):
+        one.hear(robot)
+    _, first, second = one.statuses(0, 0, Counter(), {}, NO_FRAMES)
+    assert (first.level, first.message) == (wire.OK, "heard")
+    assert first.values["level"] == "consistent"
+    assert (second.level, second.message) == (wire.ERROR, "lost: slipped; start anew")
+    assert second.values["found: offset x [m]"] == "1.5"
+    one.note(replace(STEP, verdicts=(Verdict("robot_1", "noisier than told"),)), 0)
+    _, first, second = one.statuses(0, 0, Counter(), {}, NO_FRAMES)
+    assert (first.level, second.level) == (wire.WARN, wire.ERROR)
+    one.start_over()
+    assert {status.level for status in one.statuses(0, 0, Counter(), {}, NO_FRAMES)} == {wire.OK}

@@ -40,8 +40,9 @@ PATH_FIGURES = (
 PATH_KEYS = {path + figure for path in PATHS for figure in PATH_FIGURES}
 ROBOT_KEYS = PATH_KEYS | {
     *("pose_nees", "truth_coverage", "association_precision", "association_recall"),
-    *("frames", "keyframes"),
+    *("frames", "keyframes", "worst_level"),
 }
+LEVEL_KEYS = {"level", "worst_level_at_s", "worst_level_cause", "worst_level_remedy"}
 RESULT_KEYS = ROBOT_KEYS | {
     "landmark_nees",
     "map_rmse_m",
@@ -442,7 +443,7 @@ def test_figures_are_null_without_truth():
     known |= {"step_ms_mean", "step_ms_p99", "step_ms_max"}
     for key in RESULT_KEYS - {"robots", "dropped"}:
         assert (result[key] is not None) == (key in known), key
-    assert result["robots"]["robot_1"] == dict.fromkeys(ROBOT_KEYS)
+    assert result["robots"]["robot_1"] == dict.fromkeys(ROBOT_KEYS | LEVEL_KEYS)
 
 
 def test_robot_that_never_spoke_has_no_figures():
@@ -460,7 +461,7 @@ def test_keys_are_fixed_and_values_are_json():
     result = evaluate(run)
     assert result.keys() == RESULT_KEYS
     assert list(result["robots"]) == list(run.robots)
-    assert all(figures.keys() == ROBOT_KEYS for figures in result["robots"].values())
+    assert all(figures.keys() == ROBOT_KEYS | LEVEL_KEYS for figures in result["robots"].values())
     assert json.loads(json.dumps(result, allow_nan=False)) == result
 
 
