@@ -107,9 +107,11 @@ def go_through(
                 if seen_from[n] == 0 or (witness > horizon[n] and not is_seen[n]):
                     continue
                 distance = _point(frames, f, turn, places[n], ray)
-                if distance > reach or 4 * sigmas[n] > BEARING_RAD * distance:
+                if 4 * sigmas[n] > BEARING_RAD * distance:
                     continue
-                if not is_seen[n] and not _is_free(frames, f, rows, n, ray, bearings):
+                if not is_seen[n] and (
+                    distance > reach or not _is_free(frames, f, rows, n, ray, bearings)
+                ):
                     continue
                 if not is_in_view(views, robot, ray):
                     continue
