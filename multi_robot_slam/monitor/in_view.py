@@ -12,6 +12,8 @@ with the correlation r between landmarks of one frame. Where the share is very s
 stay in mind, and the next frames are asked for them, too.
 """
 
+from collections import deque
+
 import numpy as np
 from scipy.special import betaln, gammaln
 
@@ -34,8 +36,14 @@ CORRELATION = 0.2
 SUSPECT = 0.01
 """p below which the landmarks stay in mind."""
 
+REMEMBERED = 30
+"""Frames by which it is known where a robot sees landmarks."""
+
+RARE = 0.05
+"""Share of the directions and distances that is left out at each side: random ones, and edges."""
+
 MARGIN = 0.1
-"""Share of the directions and distances seen so far that is left out at each side."""
+"""Share of the range of the others that is left out, too: what lies near an edge may have left."""
 
 FARTHEST_M, FARTHEST_RAD = 1.0, 0.5
 """A longer way between two keyframes leaves little in view of what was."""
@@ -60,7 +68,7 @@ class InView:
         self._descriptors = np.empty((0, 0), np.float32)
         self._is_suspect = False
         self._shares: list[float] = []
-        self._low, self._high = np.full(3, np.inf), np.full(3, -np.inf)
+        self._directions: deque[np.ndarray] = deque(maxlen=REMEMBERED)
 
     def note(self, frame: RobotFrame) -> bool:
         """Take a keyframe; True when the landmarks in view are newly missed, beyond doubt."""
@@ -81,7 +89,7 @@ class InView:
             self._positions, self._descriptors = frame.positions, frame.descriptors
             if not self.evidence.is_alarming:
                 self.evidence.add(-np.inf)
-        self._widen(frame.positions)
+        self._directions.append(self._seen_at(frame.positions))
         return self.evidence.is_alarming and not was_alarming
 
     @property
@@ -92,7 +100,7 @@ class InView:
     def confirm(self, known: Predictions) -> None:
         """Older landmarks that are seen where they are known to be end an alarm."""
         p = p_value(known)
-        if self.evidence.is_alarming and p is not None:
+        if p is not None:
             self.evidence.add(min(log_e_value(p), 0.0))
 
     def _ask(self, in_view: np.ndarray, descriptors: np.ndarray) -> bool:
@@ -119,11 +127,14 @@ class InView:
     def _in_view(self) -> np.ndarray:
         if not len(self._positions):
             return np.empty(0, bool)
-        margin = MARGIN * (self._high - self._low)
-        seen = self._directions(self._positions)
-        return ((seen >= self._low + margin) & (seen <= self._high - margin)).all(axis=1)
+        known = np.sort(np.concatenate(self._directions), axis=0)
+        rare = int(RARE * len(known))
+        low, high = known[rare], known[-1 - rare]
+        margin = MARGIN * (high - low)
+        seen = self._seen_at(self._positions)
+        return ((seen >= low + margin) & (seen <= high - margin)).all(axis=1)
 
-    def _directions(self, positions: np.ndarray) -> np.ndarray:
+    def _seen_at(self, positions: np.ndarray) -> np.ndarray:
         """(n, 3) to the left [rad], up (tangent), and the distance [m], from the camera."""
         camera = self._camera
         x, y, up = (positions - [camera.forward_m, camera.left_m, camera.up_m]).T
@@ -132,12 +143,6 @@ class InView:
         return np.stack(
             [np.arctan2(left, ahead), up / np.maximum(distance, 1e-6), distance], axis=1
         )
-
-    def _widen(self, positions: np.ndarray) -> None:
-        if len(positions):
-            seen = self._directions(positions)
-            self._low = np.minimum(self._low, seen.min(axis=0))
-            self._high = np.maximum(self._high, seen.max(axis=0))
 
 
 def beta_binomial_tail(seen: int, expected: int, mean: float) -> float:

@@ -15,7 +15,6 @@ import math
 from collections import deque
 
 import numpy as np
-from scipy.optimize import brentq
 from scipy.special import gammainc
 
 from multi_robot_slam.monitor.evidence import Evidence
@@ -26,6 +25,9 @@ TOLERATED = 1.25
 
 WORTH_TELLING = 2.0
 """q_1: then it holds 53 %, and a gate of 99 % turns away four right matches in ten."""
+
+FACTORS = np.geomspace(0.1, 10, 100)
+"""Of which the mean is tabulated."""
 
 WINDOW = 40
 """Frames over which the mean D is told."""
@@ -40,13 +42,6 @@ def mean_below(q: float, gate: float) -> float:
     """Mean of the D below the gate where standard deviations are q times what was told."""
     half = gate / (2 * q * q)
     return float(3 * q * q * gammainc(2.5, half) / gammainc(1.5, half))
-
-
-def factor_of(mean: float, gate: float, least: float = 0.1, most: float = 10.0) -> float:
-    """The q, from `least` to `most`, at which the mean D below the gate is `mean`."""
-    if mean <= mean_below(least, gate) or mean >= mean_below(most, gate):
-        return least if mean <= mean_below(least, gate) else most
-    return float(brentq(lambda q: mean_below(q, gate) - mean, least, most))
 
 
 class Innovations:
@@ -64,6 +59,7 @@ class Innovations:
         self._slope = 0.5 * (TOLERATED**-2 - WORTH_TELLING**-2)
         ratio = density_factor(TOLERATED, gate) / density_factor(WORTH_TELLING, gate)
         self._log_ratio = math.log(ratio)
+        self._mean_of = [mean_below(q, gate) for q in FACTORS]
         self.pose = np.zeros(3)
         """(3,) where the robot was expected last, x, y [m], yaw [rad] in `map`."""
         self._means: deque[float] = deque(maxlen=WINDOW)
@@ -90,4 +86,4 @@ class Innovations:
     @property
     def factor(self) -> float:
         """How many times as large as told standard deviations are, by the last frames."""
-        return factor_of(self.mean, self._gate)
+        return float(np.interp(self.mean, self._mean_of, FACTORS))

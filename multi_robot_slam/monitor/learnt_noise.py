@@ -24,6 +24,10 @@ SIGMAS = float(-ndtri(IMPROBABLE / 2))
 WORTH_TELLING = 0.01
 """Of a factor on distances or turns: by default (7) errs as much in the first four metres."""
 
+LEAST_FREEDOM = 50
+"""Degrees of freedom after which the noise of odometry is known to a tenth, and its factors are
+judged by it."""
+
 KINDS = ("odometry", "observations")
 WAYS = ("distance", "turn")
 
@@ -49,7 +53,7 @@ def found(state: State, robot: int, name: str, settings: FilterSettings) -> Foun
         **{f"sigma of the factor on each {w}": float(s) for w, s in zip(WAYS, sigmas, strict=True)},
     }
     wrong = [
-        *_biased(ways, sigmas, settings.motion.scale_sigma > 0),
+        *_biased(ways, sigmas, factors[0], freedoms[0], settings.motion.scale_sigma > 0),
         *_noisier(factors, freedoms, settings.learn_noise),
     ]
     causes, remedies = zip(*(wrong or _quieter(factors, freedoms) or [("", "")]), strict=True)
@@ -79,7 +83,12 @@ def _quieter(factors: np.ndarray, freedoms: np.ndarray) -> list[tuple[str, str]]
     ]
 
 
-def _biased(ways: np.ndarray, sigmas: np.ndarray, is_used: bool) -> list[tuple[str, str]]:
+def _biased(
+    ways: np.ndarray, sigmas: np.ndarray, noise: float, freedom: float, is_used: bool
+) -> list[tuple[str, str]]:
+    """Of an odometry that is `noise` times as noisy as told the sigmas are larger as well."""
+    if freedom < LEAST_FREEDOM:
+        return []
     remedy = (
         "the filter goes by it already, as scale_sigma is set"
         if is_used
@@ -88,5 +97,5 @@ def _biased(ways: np.ndarray, sigmas: np.ndarray, is_used: bool) -> list[tuple[s
     return [
         (f"each {way} is {factor:.3f} times what its odometry tells", remedy)
         for way, factor, sigma in zip(WAYS, ways, sigmas, strict=True)
-        if abs(factor - 1) > WORTH_TELLING + SIGMAS * sigma
+        if abs(factor - 1) > WORTH_TELLING + SIGMAS * sigma * max(noise, 1)
     ]

@@ -98,8 +98,9 @@ class Monitor:
         creators = np.array([self._creator(number) for number in seen.ids], int)
         is_old = (creators != frame.robot) | (seen.ids < self._old_before[frame.robot])
         for robot, recognition in enumerate(found.recognised):
-            recognition.note(seen.only(is_old & (creators == robot)).oldest())
-        found.in_view.confirm(seen.only(is_old).oldest())
+            recognition.note(seen, is_old & (creators == robot))
+        if found.in_view.evidence.is_alarming:
+            found.in_view.confirm(seen.only(is_old).oldest())
 
     def _note_created(self, robot: int, new_ids: np.ndarray) -> None:
         if not len(new_ids):

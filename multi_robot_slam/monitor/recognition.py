@@ -60,10 +60,14 @@ class Recognition:
         self.outside = 0.0
         """Share of the landmarks of the last frame that was asked with D above the gate."""
         self._gate = gate
+        self._offset: Alignment | None = None
         self._frames: deque[tuple[np.ndarray, np.ndarray, np.ndarray]] = deque(maxlen=REMEMBERED)
 
-    def note(self, seen: Predictions) -> None:
-        """Take a frame's pairs, one for each observation of a landmark that is known."""
+    def note(self, frame: Predictions, are_asked: np.ndarray) -> None:
+        """Take those pairs of a frame (P,) with landmarks that are asked of."""
+        if np.count_nonzero(are_asked) < LEAST:
+            return
+        seen = frame.only(are_asked).oldest()
         p = p_value(seen)
         if p is None:
             return
@@ -72,12 +76,18 @@ class Recognition:
         if self.evidence.log == 0:
             self.agreed += p >= USUAL
             self._frames.clear()
+            self._offset = None
         elif p < USUAL:
             self._frames.append(seen.in_map())
+            if self.evidence.is_alarming:
+                points, places, sigmas = map(np.concatenate, zip(*self._frames, strict=True))
+                self._offset = align(points, places, sigmas)
 
+    @property
     def offset(self) -> Alignment | None:
-        """The motion in `map` that brings what is seen to where it is known to be."""
-        if not self._frames:
-            return None
-        points, places, sigmas = map(np.concatenate, zip(*self._frames, strict=True))
-        return align(points, places, sigmas)
+        """The motion in `map` that brings what is seen to where it is known to be.
+
+        None where the landmarks lie where they should, or most of them do not agree on one motion:
+        then they do not tell that the robot is elsewhere, but look like others.
+        """
+        return self._offset if self.evidence.is_alarming else None

@@ -34,7 +34,7 @@ class Findings(NamedTuple):
 def is_lost(team: Sequence[Findings], robot: int) -> bool:
     """The robot's own past contradicts where it is now."""
     own = team[robot]
-    return own.recognised[robot].evidence.is_alarming or own.in_view.evidence.is_alarming
+    return own.recognised[robot].offset is not None or own.in_view.evidence.is_alarming
 
 
 def blamed(team: Sequence[Findings]) -> dict[int, tuple[int, bool]]:
@@ -70,7 +70,7 @@ def _between(team: Sequence[Findings], i: int, j: int) -> tuple[Recognition, Rec
 
 
 def _contradict(team: Sequence[Findings], i: int, j: int) -> bool:
-    return any(one.evidence.is_alarming for one in _between(team, i, j))
+    return any(one.offset is not None for one in _between(team, i, j))
 
 
 def _have_met(team: Sequence[Findings], i: int, j: int) -> bool:
@@ -93,8 +93,9 @@ def verdict(
     """The verdict on one robot; `wrong` as `blamed` gives it, `learnt` of its noise."""
     own = team[robot]
     numbers = _numbers(own, robot) | learnt.numbers
-    if own.recognised[robot].evidence.is_alarming:
-        return _lost(own, own.recognised[robot].offset(), "itself", numbers)
+    offset = own.recognised[robot].offset
+    if offset is not None:
+        return _lost(own, offset, "it", numbers)
     if own.in_view.evidence.is_alarming:
         return _out_of_sight(own, numbers)
     if robot in wrong:
@@ -127,19 +128,16 @@ def _numbers(own: Findings, robot: int) -> dict[str, float]:
     }
 
 
-def _offset(team: Sequence[Findings], robot: int, other: int) -> Alignment | None:
+def _offset(team: Sequence[Findings], robot: int, other: int) -> Alignment:
     """The motion that brings what is known through `robot` to where it is by `other`."""
-    seen, known = _between(team, robot, other)
-    forth = seen.offset()
-    if forth is not None:
-        return forth
-    back = known.offset()
-    return back and back._replace(motion=increment(back.motion, np.zeros(3)))
+    seen, known = (one.offset for one in _between(team, robot, other))
+    if seen is not None:
+        return seen
+    assert known is not None, "robots contradict each other where one of them sees an offset"
+    return known._replace(motion=increment(known.motion, np.zeros(3)))
 
 
-def _with_offset(numbers: dict[str, float], offset: Alignment | None) -> dict[str, float]:
-    if offset is None:
-        return numbers
+def _with_offset(numbers: dict[str, float], offset: Alignment) -> dict[str, float]:
     x, y, yaw = offset.motion.tolist()
     told = {"offset x [m]": x, "offset y [m]": y, "offset yaw [rad]": yaw}
     agree = {"offset: landmarks that agree [share]": offset.inliers / offset.pairs}
@@ -159,13 +157,9 @@ def _moved(offset: Alignment, pose: np.ndarray) -> np.ndarray:
 
 
 def _start_wrong(
-    own: Findings, other: str, offset: Alignment | None, numbers: dict[str, float]
+    own: Findings, other: str, offset: Alignment, numbers: dict[str, float]
 ) -> Verdict:
     name = own.name
-    if offset is None:
-        cause = f"{name} and {other} do not see each other's landmarks where they are mapped"
-        remedy = f"measure start_poses of {name} again, or raise its start_sigma"
-        return Verdict(name, "start wrong", cause, remedy, numbers)
     x, y, yaw = _moved(offset, own.start)
     off, turn = np.hypot(x - own.start[0], y - own.start[1]), abs(wrap(yaw - own.start[2]))
     cause = (
@@ -179,14 +173,12 @@ def _start_wrong(
     return Verdict(name, "start wrong", cause, remedy, _with_offset(numbers, offset))
 
 
-def _lost(
-    own: Findings, offset: Alignment | None, whose: str, numbers: dict[str, float]
-) -> Verdict:
-    mapped = f"landmarks that {'it' if whose == 'itself' else whose} mapped"
-    cause = f"{own.name} does not see {mapped} where they are: carried away, or its wheels slipped"
-    if offset is not None:
-        cause += f"; it is off by {_how_far(offset, own.innovations.pose)}, by "
-        cause += f"{offset.inliers} of {offset.pairs} landmarks"
+def _lost(own: Findings, offset: Alignment, whose: str, numbers: dict[str, float]) -> Verdict:
+    cause = (
+        f"{own.name} sees landmarks that {whose} mapped "
+        f"{_how_far(offset, own.innovations.pose)} from where they are, by {offset.inliers} of "
+        f"{offset.pairs} landmarks: it was carried away, or its wheels slipped"
+    )
     remedy = (
         f"do not use its pose; start the fusion anew with {own.name} where it is now, and see why "
         "its odometry did not tell: nobody may lift a robot, and wheels must not slip"
