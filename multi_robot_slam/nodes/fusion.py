@@ -187,7 +187,12 @@ class Fusion(EdgeNode):
             self.get_logger().warning(line)
         dropped, pending = self._pipeline.dropped, self._pipeline.pending
         statuses = self._health.statuses(
-            len(self._inbox), pending, dropped, self._silence.told, self._pipeline.frames()
+            len(self._inbox),
+            pending,
+            dropped,
+            self._silence.told,
+            self._pipeline.frames(),
+            self._pipeline.lost(),
         )
         self._outputs.diagnostics(self.get_clock().now().nanoseconds, statuses)
 

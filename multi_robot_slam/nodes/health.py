@@ -70,6 +70,7 @@ class Health:
         dropped: Counter[str],
         unheard: dict[str, str],
         frames: Mapping[str, FrameCount],
+        lost: Mapping[str, Mapping[str, int]],
     ) -> list[wire.Status]:
         """One status for the filter, one for each robot.
 
@@ -77,6 +78,7 @@ class Health:
         ----------
         unheard : what to say of topics on which nothing was ever heard, by name.
         frames : what became of each robot's frames.
+        lost : how many messages of each robot never arrived, by kind.
 
         """
         self._note_frames(sum(count.seen for count in frames.values()), dropped.total())
@@ -92,7 +94,7 @@ class Health:
             **{f"unheard: {name}": text for name, text in sorted(unheard.items())},
         }
         filter_status = wire.Status("fusion", _texts(values), *self._level(dropped))
-        robots = [self._robot_status(robot, frames[robot]) for robot in self._heard_s]
+        robots = [self._robot_status(robot, frames[robot], lost[robot]) for robot in self._heard_s]
         return [filter_status, *robots]
 
     def _note_frames(self, seen: int, lost: int) -> None:
@@ -127,7 +129,7 @@ class Health:
             self._forgive(lost)
         return self._lost_last_s - self._loses_since_s > self._silent_s
 
-    def _robot_status(self, robot: str, frames: FrameCount) -> wire.Status:
+    def _robot_status(self, robot: str, frames: FrameCount, lost: Mapping[str, int]) -> wire.Status:
         silence_s = self._clock() - self._heard_s[robot]
         is_silent = silence_s > self._silent_s
         level, message = (wire.WARN, "silent") if is_silent else (wire.OK, "heard")
@@ -140,6 +142,7 @@ class Health:
             "last heard [s ago]": f"{silence_s:.1f}",
             "frames": frames.seen,
             "keyframes": frames.used,
+            **lost,
             **judged,
         }
         return wire.Status(f"fusion: {robot}", _texts(values), level, message, robot)

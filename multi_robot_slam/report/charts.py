@@ -7,6 +7,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from msg_defs.types import Estimate, Trajectory
+from multi_robot_slam.report import levels
 from multi_robot_slam.report.scene import NEUTRAL, colours
 from multi_robot_slam.report.size import SIGMAS
 from multi_robot_slam.report.timeline import Timeline, first_rows, grouped, thinned
@@ -30,10 +31,27 @@ def charts(run: Run, times: Timeline) -> dict[str, go.Figure]:
         found |= {"effective": _effective(run, times), "durations": _durations(run, times)}
     if errors:
         found["distances"] = _distances(run, errors, times)
+    _mark_levels(run, found, times)
     if len(times.steps) > 1:
         for figure in found.values():
             figure.update_xaxes(range=[0.0, times.seconds(times.stamps_ns[-1])])
     return found
+
+
+def _mark_levels(run: Run, found: dict[str, go.Figure], times: Timeline) -> None:
+    """A line where the monitor changed its mind of a robot, in the charts of its errors."""
+    for name, own in levels.changes(run).items():
+        line = {"color": colours(run)[name], "width": 1.2, "dash": "dashdot"}
+        for change in own:
+            x = float(times.seconds(np.array(change.stamp_ns)))
+            text = change.verdict.level
+            for chart, told in ((f"robot {name}", text), ("distances", f"{name}: {text}")):
+                if chart in found:
+                    across = {"yref": "paper", "y0": 0, "y1": 1}
+                    label = {"text": told, "textposition": "end", "xanchor": "right"}
+                    found[chart].add_shape(
+                        type="line", x0=x, x1=x, **across, line=line, label=label
+                    )
 
 
 def inside(run: Run, name: str) -> np.ndarray | None:

@@ -10,7 +10,7 @@ from plotly.offline import get_plotlyjs
 from msg_defs import scenario_file
 from msg_defs.errors import InputError
 from multi_robot_slam.config import SECTION
-from multi_robot_slam.report import charts, scene, sights, size, slider
+from multi_robot_slam.report import charts, innovations, levels, scene, sights, size, slider
 from multi_robot_slam.report.timeline import Timeline, timeline
 from multi_robot_slam.runs import Run, evaluation_table
 from multi_robot_slam.runs.evaluation import Figures
@@ -64,7 +64,9 @@ def page(run: Run, figures: Figures, title: str) -> str:
     """The whole page as HTML."""
     times = timeline(run)
     drawn = charts.charts(run, times)
-    pictures = {"scene": scene.figure(run, times), **drawn}
+    matched = innovations.distances(run)
+    laws = {f"law {name}": innovations.figure(run, name, own) for name, own in matched.items()}
+    pictures = {"scene": scene.figure(run, times), **drawn, **laws}
     seen = sights.sights(run, times)
     data = {
         "frames": slider.frames(run, times),
@@ -88,6 +90,9 @@ def page(run: Run, figures: Figures, title: str) -> str:
         sections=_sections(figures),
         number=evaluation_table.number,
         charts=drawn,
+        worst=levels.worst(run),
+        seconds=times.seconds,
+        matched=matched,
         seen=seen,
         colours=scene.colours(run),
         layers=_layers(pictures["scene"]),

@@ -17,6 +17,7 @@ nodes = pytest.importorskip("nodes")
 
 STEP = fake_run(steps=1).steps[0]
 NO_FRAMES = {"robot_1": FrameCount(0, 0), "robot_2": FrameCount(0, 0)}
+NOTHING_LOST = {"robot_1": {}, "robot_2": {}}
 
 
 def health():
@@ -25,7 +26,7 @@ def health():
 
 
 def level(of, dropped=(), frames=NO_FRAMES):
-    return of.statuses(0, 0, Counter(dict(dropped)), {}, frames)[0].level
+    return of.statuses(0, 0, Counter(dict(dropped)), {}, frames, NOTHING_LOST)[0].level
 
 
 def test_what_was_dropped_is_a_warning():
@@ -101,8 +102,16 @@ def test_a_team_that_stands_still_has_more_than_losses():
 def test_frames_and_keyframes_are_told_of_each_robot_as_a_run_reads_them():
     one, _ = health()
     frames = {"robot_1": FrameCount(7, 3), "robot_2": FrameCount(0, 0)}
-    told = wire.encode_diagnostics(0, one.statuses(0, 0, Counter(), {}, frames))
+    told = wire.encode_diagnostics(0, one.statuses(0, 0, Counter(), {}, frames, NOTHING_LOST))
     assert estimates.frames([told], tuple(frames)) == frames
+
+
+def test_what_never_arrived_is_told_of_each_robot():
+    one, _ = health()
+    lost = {"robot_1": {"lost odometry": 3, "lost frames": 0}, "robot_2": {}}
+    _, first, second = one.statuses(0, 0, Counter(), {}, NO_FRAMES, lost)
+    assert (first.values["lost odometry"], first.values["lost frames"]) == ("3", "0")
+    assert "lost odometry" not in second.values
 
 
 def test_a_robot_is_silent_after_a_while():
@@ -110,14 +119,15 @@ def test_a_robot_is_silent_after_a_while():
     one.hear("robot_1")
     clock.now_s = 6.0
     one.hear("robot_2")
-    _, *robots = one.statuses(0, 0, Counter(), {}, NO_FRAMES)
+    _, *robots = one.statuses(0, 0, Counter(), {}, NO_FRAMES, NOTHING_LOST)
     assert [status.level for status in robots] == [wire.WARN, wire.OK]
     assert one.silence_s() == 0.0
 
 
 def test_topics_that_were_never_heard_are_told():
     one, _ = health()
-    values = one.statuses(0, 0, Counter(), {"/robot_1/odom": "nothing heard"}, NO_FRAMES)[0].values
+    unheard = {"/robot_1/odom": "nothing heard"}
+    values = one.statuses(0, 0, Counter(), unheard, NO_FRAMES, NOTHING_LOST)[0].values
     assert values["unheard: /robot_1/odom"] == "nothing heard"
 
 

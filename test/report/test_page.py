@@ -13,12 +13,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from msg_defs import wire
-from msg_defs.types import CameraInfo, Estimate, Image, ObservationSet
+from msg_defs.types import CameraInfo, Estimate, Image, ObservationSet, Verdict
 from multi_robot_slam import runs
-from multi_robot_slam.report import charts, page, scene, sights, size, slider, timeline
+from multi_robot_slam.report import (
+    charts,
+    innovations,
+    levels,
+    page,
+    scene,
+    sights,
+    size,
+    slider,
+    timeline,
+)
 from multi_robot_slam.runs import evaluation
 from multi_robot_slam.runs.colours import ROBOT_COLOURS
-from test.helpers import fake_landmarks, fake_run, moved
+from test.helpers import fake_frame, fake_landmarks, fake_run, moved
 
 DTYPES = {"f4": np.float32, "i4": np.int32}
 
@@ -224,6 +234,126 @@ def test_distance_from_the_truth_is_the_error_in_the_plane():
     run = replace(run, robots={"robot_1": replace(robot, online=moved(robot.truth, (0.3, 0.4, 0)))})
     figure = charts.charts(run, timeline.timeline(run))["distances"]
     np.testing.assert_allclose(figure.data[0].y, 0.5)
+
+
+# ---- what the monitor said
+
+
+def judged(said, robots=2):
+    """A run in which the monitor says so of robot_1, step by step, and no ill of others."""
+    run = fake_run(robots=robots, steps=len(said))
+    steps = []
+    for step, level in zip(run.steps, said, strict=True):
+        fine = [Verdict(name, "consistent") for name in list(run.robots)[1:]]
+        own = Verdict("robot_1", level, f"cause at {step.step}", f"remedy at {step.step}")
+        steps.append(replace(step, verdicts=(own, *fine)))
+    return replace(run, steps=steps)
+
+
+FINE, NOISY, WRONG = "consistent", "noisier than told", "start wrong"
+
+
+@given(st.lists(st.sampled_from([FINE, NOISY, WRONG, "lost"]), min_size=1, max_size=12))
+def test_levels_change_where_they_differ_and_the_worst_is_told(said):
+    run = judged(said)
+    changes = levels.changes(run)
+    assert changes["robot_2"] == []
+    told = [(change.stamp_ns, change.verdict.level) for change in changes["robot_1"]]
+    stamps = [step.stamp_ns for step in run.steps]
+    before = [FINE, *said[:-1]]
+    rows = [n for n, level in enumerate(said) if level != before[n]]
+    assert told == [(stamps[n], said[n]) for n in rows]
+    worst = levels.worst(run)["robot_1"]
+    order = [FINE, NOISY, WRONG, "lost"]
+    level = max(said, key=order.index)
+    assert worst.verdict.level == level
+    assert worst.since_ns == stamps[said.index(level)]
+    assert worst.is_last == (said[-1] == level)
+    last = len(said) - 1 - said[::-1].index(level)
+    assert worst.verdict.cause == f"cause at {last}"
+
+
+def test_the_page_says_first_which_robot_is_wrong_since_when_and_what_to_do():
+    shown = page_of(judged([FINE, FINE, WRONG, NOISY, FINE]))
+    banner = shown[shown.index("What the monitor says") : shown.index('aria-label="Figures"')]
+    assert "robot_1: start wrong" in banner
+    assert "from 0.2 s on, though no longer at the end" in banner
+    assert "cause at 2" in banner
+    assert "Remedy: remedy at 2" in banner
+    assert "robot_2" not in banner
+    assert "consistent with what" not in banner
+
+
+def test_the_page_of_a_run_that_is_consistent_alarms_nobody():
+    shown = page_of(judged([FINE, FINE]))
+    assert "All robots were consistent" in shown
+    assert 'class="verdict"' not in shown
+    assert "What the monitor says" not in page_of(fake_run())
+
+
+def test_changes_of_level_are_marked_in_the_charts_of_errors():
+    run = judged([FINE, NOISY, NOISY, WRONG])
+    found = charts.charts(run, timeline.timeline(run))
+    marks = [
+        (shape.x0, shape.x1, shape.label.text) for shape in found["robot robot_1"].layout.shapes
+    ]
+    assert marks == [(0.1, 0.1, NOISY), (0.3, 0.3, WRONG)]
+    assert [shape.label.text for shape in found["distances"].layout.shapes] == [
+        f"robot_1: {NOISY}",
+        f"robot_1: {WRONG}",
+    ]
+    assert not found["robot robot_2"].layout.shapes
+    assert len(found["effective"].layout.shapes) == 1
+
+
+def matched(values, others=()):
+    """A run whose one robot matched observations and saw robots at these D."""
+    run = fake_run(robots=1, steps=1)
+    frame = replace(
+        fake_frame("robot_1", range(len(values) + 1), [True] + [False] * len(values)),
+        mahalanobis=np.append(np.nan, values).astype(np.float32),
+        others=np.zeros(len(others) + 1, np.int64),
+        other_mahalanobis=np.append(50.0, others).astype(np.float32),
+        is_other_rejected=np.array([True] + [False] * len(others)),
+    )
+    step = replace(run.steps[0], frames=(frame,))
+    return replace(run, steps=[step], observation_truth={})
+
+
+def below(rng, freedom, gate, count):
+    values = rng.chisquare(freedom, 2 * count)
+    return values[values < gate][:count]
+
+
+def test_matches_that_follow_the_law_lie_on_it():
+    rng, settings = np.random.default_rng(0), fake_run().config.filter
+    run = matched(below(rng, 3, settings.gate, 40_000), below(rng, 2, settings.sighting_gate, 9000))
+    (observed, seen) = innovations.distances(run)["robot_1"]
+    assert (len(observed.values), len(seen.values)) == (40_000, 9000)
+    for kind in (observed, seen):
+        assert kind.mean == pytest.approx(kind.lawful_mean, rel=0.03)
+        assert "as they should be" in kind.told()
+    bars, law, *_ = innovations.figure(run, "robot_1", [observed]).data
+    np.testing.assert_allclose(bars.y, law.y, atol=0.01)
+    for drawn in (bars, law):
+        assert np.sum(drawn.y) * settings.gate / innovations.BINS == pytest.approx(1)
+
+
+@pytest.mark.parametrize(("factor", "word"), [(2.0, "larger"), (0.5, "smaller")])
+def test_matches_that_are_off_the_law_are_told_to_be(factor, word):
+    gate = fake_run().config.filter.gate
+    values = factor**2 * np.random.default_rng(1).chisquare(3, 4000)
+    run = matched(values[values < gate])
+    (kind,) = innovations.distances(run)["robot_1"]
+    assert f"{word} than they should be" in kind.told()
+    shown = page_of(run)
+    assert f'role="img" aria-label="{kind.told()} "' in shown
+    assert f"by the law {kind.lawful_mean:.2f}" in shown
+
+
+def test_a_run_without_matches_has_no_law():
+    assert innovations.distances(fake_run()) == {}
+    assert "their law" not in page_of(fake_run())
 
 
 # ---- the page
@@ -581,8 +711,22 @@ def test_page_is_no_wider_than_the_window(opened, width_px):
 
 @pytest.mark.parametrize(
     "run",
-    [TEAM, bare(robots=1, landmarks=fake_landmarks(0)), bare(steps=[]), fake_run(8, steps=1)],
-    ids=["a team", "one real robot without landmarks", "no steps", "many robots, one step"],
+    [
+        TEAM,
+        bare(robots=1, landmarks=fake_landmarks(0)),
+        bare(steps=[]),
+        fake_run(8, steps=1),
+        judged([FINE, WRONG]),
+        matched([0.5, 2.0, 3.0], [1.0]),
+    ],
+    ids=[
+        "a team",
+        "one real robot without landmarks",
+        "no steps",
+        "many robots, one step",
+        "a wrong start",
+        "matches and sightings",
+    ],
 )
 def test_every_robot_appears_without_an_error_or_a_request(browser, tmp_path, run):
     shown = show(browser, run, tmp_path)

@@ -178,6 +178,11 @@ function isShown({layer, robot}) {
   return !state.hidden.has(`layer ${LAYER_OF[layer] ?? layer}`) && !state.hidden.has(`robot ${robot}`);
 }
 
+// Its x axis is the time.
+function isOverTime(name) {
+  return name !== "scene" && figures[name].layout.meta?.is_over_time !== false;
+}
+
 function drawScene() {
   const {data, layout} = figures.scene;
   for (const trace of data) {
@@ -203,7 +208,7 @@ function drawAll() {
 function moveCursors() {
   const x = frames.seconds[state.step];
   for (const [name, div] of divs) {
-    if (name !== "scene" && visible.has(div)) Plotly.relayout(div, {"shapes[0].x0": x, "shapes[0].x1": x});
+    if (isOverTime(name) && visible.has(div)) Plotly.relayout(div, {"shapes[0].x0": x, "shapes[0].x1": x});
   }
 }
 
@@ -343,14 +348,14 @@ figures.scene.layout.margin = {l: 0, r: 0, t: 0, b: 0};
 figures.scene.layout.hovermode = "closest";
 figures.scene.layout.scene.camera = fitted(CAMERAS.aslant);
 for (const [name, {layout}] of Object.entries(figures)) {
-  if (name === "scene") continue;
+  if (!isOverTime(name)) continue;
   const cursor = {type: "line", xref: "x", yref: "paper", y0: 0, y1: 1, x0: 0, x1: 0, line: {color: "#7D8590", width: 1}};
   layout.shapes = [cursor, ...(layout.shapes ?? [])];
 }
 readControls();
 drawAll().then(() => {
   for (const [name, div] of divs) {
-    if (name === "scene") continue;
+    if (!isOverTime(name)) continue;
     watcher.observe(div);
     div.on("plotly_click", ({points}) => show(nearest(points[0].x)));
   }
