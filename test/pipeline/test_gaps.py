@@ -154,6 +154,7 @@ def test_the_true_pose_within_a_gap_is_as_far_off_as_told(missing, share):
         taker = odometry()
         feed(taker, np.arange(first + 1) / 20, way[: first + 1])
         taker.motion_to(first * SECOND // 20)
+        taker.use()
         feed(taker, [last / 20], way[last:])
         moved = taker.motion_to(at * SECOND // 20)
         errors.append(increment(way[first], way[at]) - moved.motion)
@@ -170,6 +171,7 @@ def test_at_the_samples_themselves_a_gap_hides_nothing_of_wheels_without_noise()
     stamps = [*np.arange(0, 4, 0.1), 6.0, 6.1]
     feed(taker, stamps, [(t, 0.1 * t, 0.05 * t) for t in stamps])
     taker.motion_to(3 * SECOND)
+    taker.use()
     moved = taker.motion_to(round(6.1 * SECOND))
     np.testing.assert_allclose(moved.extra, 0, atol=1e-6)
     assert taker.motion_to(5 * SECOND).extra[1] > 0.01
@@ -181,6 +183,7 @@ def test_noise_of_a_straight_way_in_one_go_is_that_of_its_small_steps():
     taker, stamps = odometry(NOISE), [*np.arange(0, 3, 0.1), 12.9]
     feed(taker, stamps, [(t, 0, 0) for t in stamps])
     taker.motion_to(round(2.9 * SECOND))
+    taker.use()
     motion, seconds, extra = taker.motion_to(round(12.9 * SECOND))
     told = standard_deviations(motion, seconds, NOISE, extra)
     ends = np.zeros((3, 2000))
@@ -205,6 +208,7 @@ def test_noise_of_a_way_with_bends_is_no_less_than_told(bend):
     kept = np.r_[:200, 399]
     feed(taker, times[kept], poses.T[kept])
     taker.motion_to(round(times[199] * SECOND))
+    taker.use()
     motion, seconds, extra = taker.motion_to(round(times[399] * SECOND))
     told = standard_deviations(motion, seconds, NOISE, extra)
     ends = np.tile(poses[:, 199:200], 2000)
@@ -226,6 +230,7 @@ def test_regular_odometry_of_any_rate_has_no_gap(rate_hz, jitter, seed, share):
     stamps = (np.arange(60) + rng.uniform(-jitter, jitter, 60) + 1) / rate_hz
     feed(taker, stamps, rng.normal(0, 0.01, (60, 3)))
     taker.motion_to(round(stamps[0] * SECOND))
+    taker.use()
     moved = taker.motion_to(round((stamps[30] + share * (stamps[31] - stamps[30])) * SECOND))
     assert moved.extra is NO_EXTRA
 
@@ -235,6 +240,7 @@ def test_two_intervals_in_turn_are_usual():
     stamps = np.cumsum(np.tile([0.2, 0.8], 40))
     feed(taker, stamps, np.zeros((80, 3)))
     taker.motion_to(SECOND)
+    taker.use()
     assert taker.motion_to(int(30.5 * SECOND)).extra is NO_EXTRA
 
 
@@ -252,6 +258,7 @@ def test_a_sample_that_is_taken_back_takes_its_gap_with_it():
     stamps = [*np.arange(0, 3, 0.1), 4.0, *np.arange(3.0, 3.95, 0.1)]
     feed(taker, stamps, [(t, 0, 0) for t in stamps])
     taker.motion_to(2 * SECOND)
+    taker.use()
     assert taker.motion_to(int(3.85 * SECOND)).extra is NO_EXTRA
 
 
@@ -260,6 +267,7 @@ def test_a_reset_hides_as_much_as_the_robot_may_have_driven_meanwhile():
     taker = odometry(NONE, told)
     feed(taker, np.arange(0, 5, 0.1), [(0.8 * t, 0, 0.2 * t) for t in np.arange(0, 5, 0.1)])
     taker.motion_to(round(4.9 * SECOND))
+    taker.use()
     feed(taker, [6.9, 7.0, 7.1], [(400, 0, 0)] * 3)
     moved = taker.motion_to(round(7.1 * SECOND))
     assert told == [RESET]
@@ -274,5 +282,6 @@ def test_gaps_without_number_are_taken_for_longer_ones():
         own = [k for k in kept if k < until]
         feed(one, np.array(own) / 10, [(0.01 * k, 0, 0) for k in own])
         one.motion_to(2 * SECOND)
+        one.use()
     assert len(taker._gaps) == MOST_GAPS
     assert (taker.motion_to_newest().extra[:2] > few.motion_to_newest().extra[:2]).all()
