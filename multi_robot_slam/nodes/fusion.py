@@ -55,7 +55,9 @@ class Publishing:
 
 USAGE = Usage(
     "multi_robot_slam fusion",
-    "Estimate one landmark map and all robots' paths from the team's odometry and observations.",
+    "Estimate one landmark map and all robots' paths from the team's odometry and observations. "
+    "/diagnostics says of each robot whether it is consistent, noisier than told, started wrong, "
+    "or lost, with cause, numbers and remedy; docs/monitor.md has how to read it.",
     (Config, Publishing),
     SECTION,
 )
