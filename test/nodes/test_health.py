@@ -137,7 +137,7 @@ def test_a_robots_level_is_that_of_its_verdict_with_cause_remedy_and_numbers():
     one.note(replace(STEP, verdicts=(Verdict("robot_1", "consistent"), lost)), 0)
     for robot in ("robot_1", "robot_2"):
         one.hear(robot)
-    _, first, second = one.statuses(0, 0, Counter(), {}, NO_FRAMES)
+    _, first, second = one.statuses(0, 0, Counter(), {}, NO_FRAMES, NOTHING_LOST)
     assert (first.level, first.message) == (wire.OK, "heard")
     assert first.values["level"] == "consistent"
     assert (second.level, second.message) == (wire.ERROR, "lost: slipped; start anew")

@@ -108,7 +108,7 @@ def test_what_gaps_hide_counts_in_smoothing():
     wide = problem_of(records, identities, prior, NOISE).sigmas
     without = [replace(record, extra=np.zeros(3)) for record in records]
     narrow = problem_of(without, identities, prior, NOISE).sigmas
-    is_it = np.array([(record.step, record.robot) == (3, 1) for record in records])
+    is_it = np.array([(record.step, record.robot) == (2, 1) for record in records])
     assert is_it.sum() == 1
     np.testing.assert_allclose(wide[is_it] ** 2, narrow[is_it] ** 2 + extra**2)
     np.testing.assert_array_equal(wide[~is_it], narrow[~is_it])
