@@ -33,8 +33,10 @@ LEAST_FRAMES = 10
 CORRELATION = 0.2
 """r. In the simulated building it is 0.1; larger is more careful."""
 
-SUSPECT = 0.01
-"""p below which the landmarks stay in mind."""
+SUSPECT = 0.1
+"""Share seen again up to which the landmarks stay in mind. What a wall hides it hides in the next
+frame, too, so that the law alone would not do for these: of 6016 frames of 24 simulated
+explorations that were as told none saw less than a quarter again."""
 
 REMEMBERED = 30
 """Frames by which it is known where a robot sees landmarks."""
@@ -66,8 +68,8 @@ class InView:
         self._camera, self._alike = camera, alike
         self._positions = np.empty((0, 3))
         self._descriptors = np.empty((0, 0), np.float32)
-        self._is_suspect = False
-        self._shares: list[float] = []
+        self._sum_of_shares, self._frames = 0.0, 0
+        """Over the frames that were asked and not suspect."""
         self._directions: deque[np.ndarray] = deque(maxlen=REMEMBERED)
 
     def note(self, frame: RobotFrame) -> bool:
@@ -76,11 +78,10 @@ class InView:
         self._move(frame.motion)
         is_near = np.hypot(*frame.motion[:2]) <= FARTHEST_M and abs(frame.motion[2]) <= FARTHEST_RAD
         in_view = self._in_view()
-        keeps = False
+        is_suspect = False
         if is_near and np.count_nonzero(in_view) >= LEAST and len(frame.positions) >= LEAST:
-            keeps = self._ask(in_view, frame.descriptors)
-        self._is_suspect = keeps
-        if keeps:
+            is_suspect = self._ask(in_view, frame.descriptors)
+        if is_suspect:
             self._positions, self._descriptors = (
                 self._positions[in_view],
                 self._descriptors[in_view],
@@ -108,14 +109,13 @@ class InView:
         distances = squared_distances(self._descriptors[in_view], descriptors)
         self.seen = int(np.count_nonzero((distances <= self._alike).any(axis=1)))
         self.expected = int(np.count_nonzero(in_view))
-        p = 1.0
-        if len(self._shares) >= LEAST_FRAMES:
-            p = beta_binomial_tail(self.seen, self.expected, float(np.mean(self._shares)))
-        if p < SUSPECT:
-            self.evidence.add(log_e_value(p))
-        elif not self._is_suspect:
-            self._shares.append(self.seen / self.expected)
-        return p < SUSPECT
+        if self._frames >= LEAST_FRAMES and self.share <= SUSPECT:
+            mean = self._sum_of_shares / self._frames
+            self.evidence.add(log_e_value(beta_binomial_tail(self.seen, self.expected, mean)))
+            return True
+        self._sum_of_shares += self.share
+        self._frames += 1
+        return False
 
     def _move(self, motion: np.ndarray) -> None:
         """What was seen, from where the robot is now."""

@@ -81,7 +81,7 @@ class Innovations:
     @property
     def mean(self) -> float:
         """Mean D of the last frames, 3 at most where nothing is known."""
-        return float(np.mean(self._means)) if self._means else mean_below(1.0, self._gate)
+        return sum(self._means) / len(self._means) if self._means else mean_below(1.0, self._gate)
 
     @property
     def factor(self) -> float:

@@ -20,6 +20,7 @@ from multi_robot_slam.monitor.innovations import Innovations
 from multi_robot_slam.monitor.predictions import Predictions, predict
 from multi_robot_slam.monitor.recognition import Recognition
 from multi_robot_slam.monitor.verdicts import Findings, blamed, verdict
+from multi_robot_slam.smoothing.noise_factors import NoiseFactors
 
 
 class Monitor:
@@ -55,6 +56,9 @@ class Monitor:
         """Of the landmarks that each frame may have created; those of later frames are larger."""
         self._creators: list[int] = []
         """The robot of each of these frames."""
+        self._noise: NoiseFactors | None = None
+        self._found: list[learnt_noise.Found] = []
+        """By these factors."""
         self._old_before = [0] * len(self._findings)
         """For each robot the id below which landmarks are older than what is held against it."""
 
@@ -86,7 +90,14 @@ class Monitor:
         )
 
     def _learnt(self, state: State, robot: int) -> learnt_noise.Found:
-        return learnt_noise.found(state, robot, self._findings[robot].name, self._settings)
+        """What smoothing found, which changes with a rejuvenation alone."""
+        if state.noise is not self._noise:
+            self._noise = state.noise
+            self._found = [
+                learnt_noise.found(state, index, found.name, self._settings)
+                for index, found in enumerate(self._findings)
+            ]
+        return self._found[robot]
 
     def _note(self, frame: RobotFrame, seen: Predictions) -> None:
         found = self._findings[frame.robot]
