@@ -40,6 +40,8 @@ class Found(NamedTuple):
     is_wrong: bool
     """It is noisier than told, or off; otherwise less noisy."""
     numbers: dict[str, float]
+    factor: float
+    """How many times as large as used its standard deviations may be, at least 1."""
 
 
 def found(state: State, robot: int, name: str, settings: FilterSettings) -> Found:
@@ -58,7 +60,9 @@ def found(state: State, robot: int, name: str, settings: FilterSettings) -> Foun
     ]
     causes, remedies = zip(*(wrong or _quieter(factors, freedoms) or [("", "")]), strict=True)
     cause = " and ".join(causes)
-    return Found(f"of {name} {cause}" if cause else "", "; ".join(remedies), bool(wrong), numbers)
+    told = f"of {name} {cause}" if cause else ""
+    factor = max(1.0, *(factors / state.noise.used[robot]).tolist()) if wrong else 1.0
+    return Found(told, "; ".join(remedies), bool(wrong), numbers, factor)
 
 
 def _noisier(factors: np.ndarray, freedoms: np.ndarray, is_used: bool) -> list[tuple[str, str]]:

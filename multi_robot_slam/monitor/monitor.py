@@ -106,6 +106,7 @@ class Monitor:
         own = found.recognised[frame.robot]
         if is_lost_now or not (own.evidence.log or found.in_view.evidence.log):
             self._old_before[frame.robot] = seen.next_id
+        seen = seen.with_noise(self._found[frame.robot].factor if self._found else 1.0)
         creators = np.array([self._creator(number) for number in seen.ids], int)
         is_old = (creators != frame.robot) | (seen.ids < self._old_before[frame.robot])
         for robot, recognition in enumerate(found.recognised):

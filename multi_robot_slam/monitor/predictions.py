@@ -61,6 +61,11 @@ class Predictions(NamedTuple):
             np.zeros(3), 0,
         )  # fmt: skip
 
+    def with_noise(self, factor: float) -> "Predictions":
+        """With `factor` times all standard deviations."""
+        squared, sigmas = self.mahalanobis_sq / factor**2, factor * self.sigmas
+        return self._replace(mahalanobis_sq=squared, sigmas=sigmas)
+
     def only(self, rows: np.ndarray) -> "Predictions":
         """Some of the pairs, by index or as booleans."""
         return self._replace(

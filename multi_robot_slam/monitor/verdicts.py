@@ -1,6 +1,7 @@
 """What the evidence amounts to, in words: the worst level first, its cause and its remedy."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from math import degrees
 from typing import NamedTuple
 
@@ -91,6 +92,20 @@ def verdict(
     learnt: learnt_noise.Found,
 ) -> Verdict:
     """The verdict on one robot; `wrong` as `blamed` gives it, `learnt` of its noise."""
+    told = _judged(team, robot, wrong, learnt)
+    if not learnt.is_wrong or told.level == "noisier than told":
+        return told
+    cause, remedy = f"{told.cause}; and {learnt.cause}", f"{told.remedy}; {learnt.remedy}"
+    return replace(told, cause=cause, remedy=remedy)
+
+
+def _judged(
+    team: Sequence[Findings],
+    robot: int,
+    wrong: dict[int, tuple[int, bool]],
+    learnt: learnt_noise.Found,
+) -> Verdict:
+    """As `verdict`, but for noise beside something worse."""
     own = team[robot]
     numbers = _numbers(own, robot) | learnt.numbers
     offset = own.recognised[robot].offset

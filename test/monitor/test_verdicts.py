@@ -1,0 +1,97 @@
+"""Which robot is told to be wrong, and how."""
+
+import numpy as np
+import pytest
+
+from msg_defs.types import CameraMount
+from multi_robot_slam.monitor.alignment import Alignment
+from multi_robot_slam.monitor.evidence import LOG_CAP
+from multi_robot_slam.monitor.in_view import InView
+from multi_robot_slam.monitor.innovations import Innovations
+from multi_robot_slam.monitor.learnt_noise import Found
+from multi_robot_slam.monitor.recognition import Recognition
+from multi_robot_slam.monitor.verdicts import MET, Findings, blamed, verdict
+
+NOTHING = Found("", "", False, {}, 1.0)
+NOISY = Found("of robot_2 odometry is 3.0 times as noisy as told", "raise it", True, {}, 3.0)
+OFFSET = Alignment(np.array([0.3, 0.4, np.pi / 2]), 9, 10)
+
+
+def team(count=3, contradict=(), agree=()):
+    robots = [
+        Findings(
+            f"robot_{i + 1}",
+            np.array([1.0, 0.0, 0.0]),
+            Innovations(11.345),
+            InView(CameraMount(), 0.04),
+            [Recognition(11.345) for _ in range(count)],
+        )
+        for i in range(count)
+    ]
+    for i, j in contradict:
+        robots[i].recognised[j].evidence.log = LOG_CAP
+        robots[i].recognised[j]._offset = OFFSET
+    for i, j in agree:
+        robots[i].recognised[j].agreed = MET
+    return robots
+
+
+def level(robots, robot, learnt=NOTHING):
+    return verdict(robots, robot, blamed(robots), learnt)
+
+
+@pytest.mark.parametrize(
+    ("contradict", "agree", "expected"),
+    [
+        ([(0, 1)], [], {1: (0, True)}),
+        ([(1, 0)], [], {1: (0, True)}),
+        ([(0, 1)], [(0, 1)], {1: (0, False)}),
+        ([(0, 1), (2, 1)], [(0, 2)], {1: (0, True)}),
+        ([(1, 2)], [(0, 2)], {1: (2, True)}),
+        ([(1, 2)], [], {2: (1, True)}),
+        ([(0, 1), (1, 2), (0, 2)], [], {2: (0, True), 1: (0, True)}),
+        ([(0, 1), (1, 1)], [], {}),
+    ],
+    ids=["first", "seen by the other", "met", "most", "agrees", "later", "all", "lost itself"],
+)
+def test_who_is_to_blame(contradict, agree, expected):
+    assert blamed(team(3, contradict, agree)) == expected
+
+
+def test_the_start_is_corrected_by_what_is_seen():
+    told = level(team(2, [(1, 0)]), 1)
+    assert told.level == "start wrong"
+    assert "off by 1.57 m and 90.0 degrees relative to the map of robot_1: 9 of 10" in told.cause
+    assert "[0.30, 1.40, 1.571]" in told.remedy
+    assert told.numbers["offset yaw [rad]"] == np.pi / 2
+
+
+def test_what_the_other_sees_is_turned_round():
+    told = level(team(2, [(0, 1)]), 1)
+    assert "[-0.40, -0.70, -1.571]" in told.remedy
+
+
+def test_lost_is_worse_than_a_wrong_start_and_that_than_noise():
+    assert level(team(2, [(1, 1), (0, 1)]), 1).level == "lost"
+    assert level(team(2, [(0, 1)], [(0, 1)]), 1).level == "lost"
+    wrong = level(team(2, [(0, 1)]), 1, NOISY)
+    assert wrong.level == "start wrong"
+    assert wrong.cause.endswith("; and of robot_2 odometry is 3.0 times as noisy as told")
+    assert level(team(2), 1, NOISY).level == "noisier than told"
+    noisy = team(2)
+    noisy[1].innovations.evidence.log = LOG_CAP
+    assert level(noisy, 1).level == "noisier than told"
+    assert level(noisy, 0) == level(team(2), 0)
+
+
+def test_evidence_on_which_no_motion_agrees_is_no_level():
+    robots = team(2, [(1, 1)])
+    robots[1].recognised[1]._offset = None
+    assert level(robots, 1).level == "consistent"
+
+
+def test_what_must_be_in_view_and_is_not_is_lost():
+    robots = team(2)
+    robots[0].in_view.evidence.log = LOG_CAP
+    assert level(robots, 0).level == "lost"
+    assert level(robots, 1).level == "consistent"
