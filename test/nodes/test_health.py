@@ -143,7 +143,8 @@ def test_a_robots_level_is_that_of_its_verdict_with_cause_remedy_and_numbers():
     assert (second.level, second.message) == (wire.ERROR, "lost: slipped; start anew")
     assert second.values["found: offset x [m]"] == "1.5"
     one.note(replace(STEP, verdicts=(Verdict("robot_1", "noisier than told"),)), 0)
-    _, first, second = one.statuses(0, 0, Counter(), {}, NO_FRAMES)
+    _, first, second = one.statuses(0, 0, Counter(), {}, NO_FRAMES, NOTHING_LOST)
     assert (first.level, second.level) == (wire.WARN, wire.ERROR)
     one.start_over()
-    assert {status.level for status in one.statuses(0, 0, Counter(), {}, NO_FRAMES)} == {wire.OK}
+    statuses = one.statuses(0, 0, Counter(), {}, NO_FRAMES, NOTHING_LOST)
+    assert {status.level for status in statuses} == {wire.OK}

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from msg_defs.types import PoseSample
-from multi_robot_slam.config import Plausible
+from multi_robot_slam.config import Config, Plausible
 from multi_robot_slam.models.motion import (
     NO_EXTRA,
     MotionSettings,
@@ -18,6 +18,7 @@ from multi_robot_slam.models.motion import (
 )
 from multi_robot_slam.pipeline.gaps import Gap, Instant, Rates
 from multi_robot_slam.pipeline.odometry import MOST_GAPS, RESET, Odometry
+from multi_robot_slam.pipeline.pairing import RobotInputs
 
 SECOND = 10**9
 NOISE = MotionSettings(0.03, 0.01, 0.02, 0.05, yaw_per_sqrt_s=0.01)
@@ -285,3 +286,14 @@ def test_gaps_without_number_are_taken_for_longer_ones():
         one.use()
     assert len(taker._gaps) == MOST_GAPS
     assert (taker.motion_to_newest().extra[:2] > few.motion_to_newest().extra[:2]).all()
+
+
+def test_a_frame_after_a_gap_has_what_it_hides():
+    inputs = RobotInputs(0, Config(), lambda event, refusal: None)
+    stamps = [*np.arange(1, 5, 0.1), 8.0]
+    feed(inputs.odometry, stamps, [(t, 0.1 * t, 0.0) for t in stamps])
+    inputs.frame(4 * SECOND, None, None)
+    inputs.odometry.use()
+    frame = inputs.frame(6 * SECOND, None, None)
+    assert (frame.extra[1:] > 0).all()
+    np.testing.assert_array_equal(frame.extra, inputs.odometry.motion_to(6 * SECOND).extra)
