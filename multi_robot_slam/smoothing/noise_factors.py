@@ -59,6 +59,13 @@ MOST = 16.0
 Of noise so much larger than the gate nearly nothing but the gate is seen.
 """
 
+LEAST_USED = np.array([0.0, 1.0])
+"""Least factors on odometry and observations that are used.
+
+Residuals do not show errors that repeat: a camera that is fooled alike by the same texture, or a
+calibration that is off. So what was told of observations is not made light of.
+"""
+
 LEAST_REDUNDANCY = 0.05
 """Of a single residual, for the question whether it lies inside."""
 
@@ -116,7 +123,8 @@ def learn(
     shares : `shares_of` the two.
     leaving : how many of the first records leave the window; their robots' shares count for good.
     limit : D (18) beyond which observations were not matched, or count less.
-    is_used : whether the factors are used from now on, at most twice or half those before.
+    is_used : whether the factors are used from now on, at most twice or half those before, and no
+        less than `LEAST_USED`.
 
     """
     used_sq = np.square(noise.used).ravel()
@@ -128,7 +136,9 @@ def learn(
     variances = np.linalg.solve(all_equations, noise.sums + sums + TOLD)
     variances = variances.clip(used_sq / MOST, used_sq * MOST)
     factors = np.sqrt(variances).reshape(-1, 2)
-    used = factors.clip(noise.used / 2, noise.used * 2) if is_used else noise.used
+    used = noise.used
+    if is_used:
+        used = factors.clip(noise.used / 2, noise.used * 2).clip(min=LEAST_USED)
     known = np.linalg.inv(all_equations * variances / variances[:, None])
     leave = np.repeat(_leaving_shares(problem, leaving, len(factors)), 2)
     return NoiseFactors(
