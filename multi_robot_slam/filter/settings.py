@@ -135,8 +135,8 @@ class FilterSettings:
     learn_noise: Annotated[
         bool,
         "whether the noise of each robot's odometry and observations is that which rejuvenation "
-        "finds, a factor on what was told, for observations 1 at least; otherwise the factors are "
-        "estimated all the same, and only told",
+        "finds, a factor of 1 or more on what was told; otherwise the factors are estimated all "
+        "the same, and only told",
     ] = True
     threads: Annotated[
         int, Interval(ge=0, le=256), "threads of the filter; 0 chooses; no effect on results"

@@ -59,11 +59,11 @@ MOST = 16.0
 Of noise so much larger than the gate nearly nothing but the gate is seen.
 """
 
-LEAST_USED = np.array([0.0, 1.0])
-"""Least factors on odometry and observations that are used.
+LEAST_USED = 1.0
+"""Least factor that is used.
 
-Residuals do not show errors that repeat: a camera that is fooled alike by the same texture, or a
-calibration that is off. So what was told of observations is not made light of.
+Residuals do not show errors that repeat, such as those of a camera that is fooled alike by the same
+texture, and noise that is mostly small hides rare slips. So what was told is not made light of.
 """
 
 LEAST_REDUNDANCY = 0.05
