@@ -16,7 +16,7 @@ from msg_defs import topics, wire
 from msg_defs.types import PoseSample
 from multi_robot_slam.bags import BagReader, absolute
 from multi_robot_slam.filter import rbpf
-from multi_robot_slam.filter.settings import NO_REJUVENATION
+from multi_robot_slam.filter.settings import NO_REJUVENATION, ExistenceSettings
 from multi_robot_slam.pipeline import offline
 from multi_robot_slam.pipeline.pipeline import Pipeline
 from sim_world.planar import between
@@ -30,6 +30,7 @@ PAPER = {
     "exclusive": False,
     "particles": 6,
     "rejuvenation": NO_REJUVENATION,
+    "existence": ExistenceSettings(published_from=1, gone_below=0.0),
 }
 
 
