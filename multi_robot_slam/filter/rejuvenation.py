@@ -219,5 +219,7 @@ def _without_centre(
 
 def _unseen_since(ids: np.ndarray, old: Snapshot, largest: Drawn, settle: int) -> np.ndarray:
     """Those of the landmarks `ids` that no particle saw after the first `settle` records."""
+    if not len(ids):
+        return ids
     since = [np.unique(record.matches) for record in old.history.records[settle:]]
-    return np.setdiff1d(ids, np.concatenate([*since, *largest.past.identities[settle:], ids[:0]]))
+    return np.setdiff1d(ids, np.concatenate([*since, *largest.past.identities[settle:]]))

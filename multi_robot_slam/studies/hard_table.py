@@ -79,10 +79,15 @@ class Row:
 
     @property
     def is_wrong(self) -> bool:
-        """So wrong that it has to be said; so is a run without poses to judge."""
+        """So wrong that it has to be said; so is a run without poses to judge.
+
+        What no filter could have done better is not wrong.
+        """
         if self.ratio is None:
             return True
-        return self.ratio > WRONG_RATIO or (self.nees or 0.0) > WRONG_NEES * bounds(1)[1]
+        best = _ratio(self.optimum_m, self.exact_optimum_m) or 1.0
+        is_far_off = self.ratio > WRONG_RATIO * max(best, 1.0)
+        return is_far_off or (self.nees or 0.0) > WRONG_NEES * bounds(1)[1]
 
     @property
     def is_silently_wrong(self) -> bool:

@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from msg_defs.errors import InputError
+from multi_robot_slam.config import Config
 from multi_robot_slam.studies import experiment_grid, exploration
 from multi_robot_slam.studies import hard_changes as changes
 from multi_robot_slam.studies.accuracy_table import REJUVENATED
@@ -105,6 +106,7 @@ def simulated(base: Base, name: str, robots: int, seed: int) -> Told:
         replace(base, scenario=scenario), replace(trial, **world.simulated)
     )
     config = exploration.configure(explored, base.keyframe, base.filters[REJUVENATED])
+    config = replace(config, start_sigma=Config().start_sigma)
     events = tuple(e for instant in explored.instants for step in instant for e in step.events)
     return Told(explored.scenario, config, events, exploration.recorded(explored), config.robots)
 

@@ -11,6 +11,7 @@ import pytest
 
 from msg_defs.errors import InputError
 from msg_defs.types import LandmarkMap, ObservationSet, PoseSample
+from multi_robot_slam.config import Config
 from multi_robot_slam.models.motion import increment, wrap
 from multi_robot_slam.runs.trajectory_errors import at, rotation
 from multi_robot_slam.studies import (
@@ -158,6 +159,7 @@ def test_where_starts_differ_nothing_else_does(worlds, name):
     sigmas = {"exact-certain": (0.0, 0.0)} | dict.fromkeys(
         ("start-far-told", "first-far-told"), (0.3, 0.175)
     )
+    assert exact.config.start_sigma == Config().start_sigma
     assert told.config.start_sigma == sigmas.get(name, exact.config.start_sigma)
 
 
@@ -396,6 +398,8 @@ def test_a_run_is_wrong_beyond_twice_the_exact_error_or_three_times_the_bound():
     assert not fake_row(nees=28.0).is_wrong
     assert fake_row(nees=28.1).is_wrong
     assert fake_row(published_m=None).is_wrong
+    assert not fake_row(published_m=5.9, optimum_m=3.0, exact_optimum_m=1.0).is_wrong
+    assert fake_row(published_m=6.1, optimum_m=3.0, exact_optimum_m=1.0).is_wrong
 
 
 def test_what_is_judged_depends_on_the_world():
