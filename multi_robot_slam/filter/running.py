@@ -116,15 +116,18 @@ def _worker(settings: FilterSettings) -> ThreadPoolExecutor | None:
     return ThreadPoolExecutor(1, thread_name_prefix="rejuvenation")
 
 
-def warm_up(settings: FilterSettings) -> None:
-    """Compile every kernel or load it from the cache, those of frames that settle as well."""
+def warm_up(settings: FilterSettings) -> State:
+    """Compile every kernel or load it from the cache, those of frames that settle as well.
+
+    The state of two robots that `rbpf.two_robots` led to.
+    """
     state = rbpf.warm_up(settings)
     weights = np.full(settings.particles, 1 / settings.particles)
     state.landmarks.mixture(state.landmarks.alive(), weights)
     lineage = list(state.history.lineage(0))[::-1]
     are_there(state, lineage, *state.landmarks.of_particle(0), settings)
     if settings.rejuvenation.ancestors_below == 0:
-        return
+        return state
     small = replace(settings, rejuvenation=replace(settings.rejuvenation, unknowns=LEAST_UNKNOWNS))
     rng = np.random.default_rng(0)
     for _ in range(2):
@@ -132,3 +135,4 @@ def warm_up(settings: FilterSettings) -> None:
             rbpf.step(state, rbpf.two_robots(), small, rng)
         old = snapshot.taken(state, small, rng)
         state = rejuvenation.rejuvenate(old, small, rng)[0] or state
+    return state

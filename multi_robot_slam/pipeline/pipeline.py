@@ -25,7 +25,7 @@ from msg_defs.types import (
     Trajectory,
 )
 from multi_robot_slam.config import Config
-from multi_robot_slam.filter import running
+from multi_robot_slam.filter import rbpf, running
 from multi_robot_slam.filter.rejuvenation import FAILURES
 from multi_robot_slam.filter.running import ParticleFilter
 from multi_robot_slam.models import motion
@@ -89,8 +89,9 @@ class Pipeline:
         return self._particles.state.noise
 
     def warm_up(self) -> None:
-        """Compile the filter's kernels, or load them from the cache."""
-        running.warm_up(self.config.filter)
+        """Compile the kernels of filter and monitor, or load them from the cache."""
+        state = running.warm_up(self.config.filter)
+        self._monitor.expect(state, rbpf.two_robots())
 
     @property
     def pending(self) -> int:

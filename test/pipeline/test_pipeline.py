@@ -11,7 +11,8 @@ from worlds import EVERYTHING
 from msg_defs.types import ObservationSet, PoseSample
 from multi_robot_slam.config import EVERY_FRAME, Config
 from multi_robot_slam.filter import rbpf, resampling
-from multi_robot_slam.filter.settings import ExistenceSettings
+from multi_robot_slam.filter.settings import ExistenceSettings, RejuvenationSettings
+from multi_robot_slam.monitor import predictions
 from multi_robot_slam.pipeline.pipeline import Pipeline
 
 NAMES = ("robot_1", "robot_2", "robot_3")
@@ -77,6 +78,26 @@ def test_steps_equal_the_bare_filter():
     np.testing.assert_allclose(np.cos(poses - state.poses[:, :, best]), 1, atol=1e-12)
     assert [r.step for r in records] == list(range(1, 11))
     assert all(len(r.frames) == 3 for r in records)
+
+
+def test_warming_up_compiles_what_the_monitor_needs(monkeypatch):
+    """Otherwise the first frame of a robot waits for it, and a camera beside it loses pictures."""
+    moments, types = predictions.relative_moments, []
+
+    def noted(*args):
+        types.append([getattr(arg, "dtype", type(arg)) for arg in args])
+        moments(*args)
+
+    monkeypatch.setattr(predictions, "relative_moments", noted)
+    own = config()
+    often = RejuvenationSettings(ancestors_below=0.5)
+    pipeline = Pipeline(replace(own, filter=replace(own.filter, rejuvenation=often)))
+    pipeline.warm_up()
+    warmed = types[0]
+    types.clear()
+    run(pipeline, round_robin(events(worlds.drive(1, steps=2))))
+    assert len(types) > 1
+    assert all(used == warmed for used in types)
 
 
 @pytest.mark.parametrize("seed", range(5))
