@@ -204,11 +204,19 @@ def _timed(look: Look, config: Config) -> tuple[Sight, float]:
 
 
 def _warm_up(config: Config) -> None:
-    """Compile the front end, or load it from the cache: look at noise."""
+    """Compile the front end, or load it from the cache: look at noise.
+
+    Pictures as they come from the wire cannot be written, which compiles to other code.
+    """
     width_px, height_px = 160, 120
     rig = StereoRig(100.0, (width_px / 2, height_px / 2), 0.1, width_px, height_px)
     noise = np.random.default_rng(0).integers(0, 256, (height_px, width_px), np.uint8)
-    FrontEnd(rig, config.camera).observe(noise, np.roll(noise, -5, axis=1))
+    front_end = FrontEnd(rig, config.camera)
+    for is_writable in (True, False):
+        pair = noise, np.roll(noise, -5, axis=1)
+        for picture in pair:
+            picture.setflags(write=is_writable)
+        front_end.observe(*pair)
 
 
 def main(args: list[str] | None = None) -> int:

@@ -13,7 +13,8 @@ import pytest
 from msg_defs import scenario_file, topics, wire
 from msg_defs.errors import InputError
 from multi_robot_slam.bags import BagReader
-from multi_robot_slam.config import SECTION
+from multi_robot_slam.config import SECTION, Config
+from multi_robot_slam.front_end.front_end import FrontEnd
 from multi_robot_slam.pipeline import landmarks
 
 nodes = pytest.importorskip("nodes")
@@ -275,3 +276,15 @@ def test_interrupt_ends_the_process(spawn):
     nodes.wait_for_line(process, "other machines are not heard")
     process.send_signal(signal.SIGINT)
     assert process.wait(nodes.PATIENCE_S) == 0
+
+
+def test_warming_up_compiles_for_pictures_that_cannot_be_written_as_well(monkeypatch):
+    """As they come from the wire; else the first pair waits, and those after it are lost."""
+    looked_at = []
+    monkeypatch.setattr(FrontEnd, "observe", lambda self, *pair: looked_at.append(writable(pair)))
+    camera._warm_up(Config())
+    assert looked_at == [{True}, {False}]
+
+
+def writable(pictures):
+    return {bool(picture.flags.writeable) for picture in pictures}
