@@ -79,6 +79,7 @@ def play(bag, *given, listen_to, whole=(), clock=time.monotonic):
         for topic in listen_to:
             if publisher := outputs.get(absolute(topic.name)):
                 nodes.wait_until(lambda p=publisher: p.get_subscription_count() > 0)
+        nodes.spin_until(nodes.rounds(200), listener)  # until it knows the publishers as well
         nodes.spin_until(lambda: node.done, node, listener)
         count = {topic: len(by_topic(bag)[absolute(topic.name)]) for topic in whole}
         nodes.spin_until(
