@@ -1,11 +1,10 @@
 """What the monitor said of each robot, and when."""
 
-from typing import NamedTuple, get_args
+from typing import NamedTuple
 
-from msg_defs.types import Level, Verdict
+from msg_defs.types import Verdict
 from multi_robot_slam.runs import Run
-
-_RANKS = {level: rank for rank, level in enumerate(get_args(Level))}
+from multi_robot_slam.runs.levels import ORDER
 
 
 class Change(NamedTuple):
@@ -43,8 +42,8 @@ def worst(run: Run) -> dict[str, Worst]:
     found: dict[str, Worst] = {}
     for step in run.steps:
         for verdict in step.verdicts:
-            before, rank = found.get(verdict.robot), _RANKS[verdict.level]
-            known = -1 if before is None else _RANKS[before.verdict.level]
+            before, rank = found.get(verdict.robot), ORDER.index(verdict.level)
+            known = -1 if before is None else ORDER.index(before.verdict.level)
             if before is None or rank > known:
                 found[verdict.robot] = Worst(verdict, step.stamp_ns, True)
             elif rank == known:

@@ -99,7 +99,6 @@ def estimate(
 
 def recorded(exploration: Exploration) -> runs.Recorded:
     """What is known of it beside the estimate: odometry, and the truth."""
-    """What of it is known beside estimates: odometry and truth."""
     by_robot = list(zip(*exploration.instants, strict=True))
     truths = [t for steps in by_robot for robot in steps if (t := robot.observation_truth)]
     return runs.Recorded(

@@ -13,6 +13,7 @@ import numpy as np
 from msg_defs.types import Event, LandmarkMap, ObservationSet, PoseSample, Trajectory
 from multi_robot_slam import runs
 from multi_robot_slam.config import Config
+from multi_robot_slam.models.motion import increment
 from multi_robot_slam.runs.trajectory_errors import at, wrap
 from sim_world import stereo
 from sim_world.robot import MIN_DEPTH_M, START_NS
@@ -314,7 +315,7 @@ def robot_restarted(told: Told, rng: np.random.Generator) -> Told:
     def again(event: Event) -> Event:
         if event.robot != name or event.stamp_ns < begins or not isinstance(event, PoseSample):
             return event
-        return replace(event, pose=_seen_from(origin, event.pose))
+        return replace(event, pose=increment(origin, event.pose))
 
     return replace(
         told,
@@ -426,10 +427,6 @@ def _composed(first: np.ndarray, movements: np.ndarray) -> np.ndarray:
     steps = np.column_stack([cos * dx - sin * dy, sin * dx + cos * dy])
     places = first[:2] + np.vstack([np.zeros(2), np.cumsum(steps, axis=0)])
     return np.column_stack([places, wrap(yaws)])
-
-
-def _seen_from(origin: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    return _movements(np.array([origin, pose]))[0]
 
 
 def _seen(told: Told, change: Callable[[ObservationSet, np.ndarray], ObservationSet]) -> Told:
