@@ -33,7 +33,7 @@ class Listener(spin.EdgeNode):
 
     def is_connected(self):
         """Somebody publishes each of the topics."""
-        return all(map(self.count_publishers, (r.topic_name for r in self.readers.values())))
+        return all(reader.is_matched for reader in self.readers.values())
 
     def send(self, messages):
         """Publish (topic, bytes) once everybody spins, so that they arrive in this order."""
@@ -74,7 +74,10 @@ def seconds_taken(make):
 
 
 def spin_until(condition, *nodes, timeout_s=PATIENCE_S):
-    """Run `nodes` as `msg_defs.ros.spin.spin` does, until `condition()`."""
+    """Run `nodes` as `msg_defs.ros.spin.spin` does, until `condition()`.
+
+    What has come in and was not handled by then is not heard of by a later call.
+    """
     executor = EventsExecutor()
     for one in nodes:
         for each in [one, *one.companions]:

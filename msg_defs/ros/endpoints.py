@@ -100,6 +100,11 @@ class Reader:
         return self._subscription.topic_name
 
     @property
+    def is_matched(self) -> bool:
+        """What a publisher sends from now on is heard."""
+        return self._subscription.get_publisher_count() > 0
+
+    @property
     def reliability(self) -> ReliabilityPolicy:
         """How it reads at present."""
         return self._qos.reliability

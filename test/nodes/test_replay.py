@@ -79,13 +79,19 @@ def play(bag, *given, listen_to, whole=(), clock=time.monotonic):
         for topic in listen_to:
             if publisher := outputs.get(absolute(topic.name)):
                 nodes.wait_until(lambda p=publisher: p.get_subscription_count() > 0)
-        nodes.spin_until(nodes.rounds(200), listener)  # until it knows the publishers as well
-        nodes.spin_until(lambda: node.done, node, listener)
+        replayed = [listener.readers[t] for t in listen_to if absolute(t.name) in outputs]
+        nodes.wait_until(lambda: all(reader.is_matched for reader in replayed))
         count = {topic: len(by_topic(bag)[absolute(topic.name)]) for topic in whole}
-        nodes.spin_until(
-            lambda: all(len(listener.heard[topic]) >= n for topic, n in count.items()), listener
-        )
-        nodes.spin_until(nodes.rounds(200), listener)
+        no_more_comes = nodes.rounds(200)
+
+        def is_all_heard():
+            if not node.done:
+                return False
+            node.work = lambda: 0.0
+            heard = all(len(listener.heard[topic]) >= n for topic, n in count.items())
+            return heard and no_more_comes()
+
+        nodes.spin_until(is_all_heard, node, listener)
         return listener.heard
 
 
