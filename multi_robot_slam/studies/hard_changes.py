@@ -6,14 +6,14 @@ nothing changes but what the change is about: robots drive, and see, as they did
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
 from msg_defs.types import Event, LandmarkMap, ObservationSet, PoseSample, Trajectory
 from multi_robot_slam import runs
 from multi_robot_slam.config import Config
-from multi_robot_slam.models.motion import increment
+from multi_robot_slam.models.motion import MotionSettings, increment
 from multi_robot_slam.runs.trajectory_errors import at, wrap
 from sim_world import stereo
 from sim_world.robot import MIN_DEPTH_M, START_NS
@@ -117,8 +117,8 @@ def starts_swapped(told: Told, rng: np.random.Generator) -> Told:
     return replace(told, config=config, culprits=(told.names[one], told.names[other]))
 
 
-def odometry_noise(factor: float) -> Change:
-    """The errors of all odometry are so many times what they were."""
+def odometry_noise(factor: float, is_told: bool = False) -> Change:
+    """The errors of all odometry are so many times what they were, and what is told unless so."""
 
     def change(told: Told, rng: np.random.Generator) -> Told:
         def noisier(stamps: np.ndarray, moved: np.ndarray, true: np.ndarray) -> np.ndarray:
@@ -126,7 +126,13 @@ def odometry_noise(factor: float) -> Change:
             errors[:, 2] = wrap(errors[:, 2])
             return true + factor * errors
 
-        return replace(_driven(told, told.names, noisier), factors=(factor, told.factors[1]))
+        noisy = _driven(told, told.names, noisier)
+        if not is_told:
+            return replace(noisy, factors=(factor, told.factors[1]))
+        motion = _with_noise(told.config.filter.motion, factor)
+        return replace(
+            noisy, config=replace(told.config, filter=replace(told.config.filter, motion=motion))
+        )
 
     return change
 
@@ -136,15 +142,18 @@ def odometry_biased(told: Told, rng: np.random.Generator) -> Told:
     return _driven(told, told.names, lambda stamps, moved, true: moved * (1.05, 1.05, 0.97))
 
 
-def camera_noise(factor: float) -> Change:
-    """The errors of all observed positions are so many times what they were, and was told."""
+def camera_noise(factor: float, is_told: bool = False) -> Change:
+    """The errors of all observed positions are so many times what they were, likewise."""
 
     def change(told: Told, rng: np.random.Generator) -> Told:
         def noisier(seen: ObservationSet, rows: np.ndarray) -> ObservationSet:
             true = _in_camera(told, seen, told.landmarks.positions[rows].astype(float))
-            return _at_points(told, seen, true + factor * (seen.positions - true))
+            noisy = _at_points(told, seen, true + factor * (seen.positions - true))
+            covariances = noisy.covariances * (factor**2 if is_told else 1.0)
+            return replace(noisy, covariances=covariances)
 
-        return replace(_seen(told, noisier), factors=(told.factors[0], factor))
+        noisy = _seen(told, noisier)
+        return noisy if is_told else replace(noisy, factors=(told.factors[0], factor))
 
     return change
 
@@ -288,7 +297,7 @@ def fusion_late(seconds: float) -> Change:
     """The fusion does not hear what is sent in the first seconds."""
 
     def change(told: Told, rng: np.random.Generator) -> Told:
-        return _late(told, told.names, START_NS + int(seconds * 1e9))
+        return _from(told, START_NS + int(seconds * 1e9))
 
     return change
 
@@ -297,14 +306,15 @@ def robot_late(seconds: float) -> Change:
     """One robot is not heard in the first seconds, in which it drives."""
 
     def change(told: Told, rng: np.random.Generator) -> Told:
-        return _late(told, (_anyone(told, rng),), START_NS + int(seconds * 1e9))
+        name, since_ns = _anyone(told, rng), START_NS + int(seconds * 1e9)
+        return replace(_from(told, since_ns, (name,)), culprits=(name,), known_ns=since_ns)
 
     return change
 
 
 def fusion_restarted(told: Told, rng: np.random.Generator) -> Told:
     """In mid-run the fusion is started anew. What it said before is not judged, and left out."""
-    return _late(told, told.names, _moments(told, rng, 0.0)[0])
+    return _from(told, _moments(told, rng, 0.0)[0])
 
 
 def robot_restarted(told: Told, rng: np.random.Generator) -> Told:
@@ -373,9 +383,17 @@ def _moments(told: Told, rng: np.random.Generator, lasts_s: float) -> tuple[int,
     return begins, begins + int(lasts_s * 1e9)
 
 
-def _late(told: Told, names: Sequence[str], since_ns: int) -> Told:
+def _from(told: Told, since_ns: int, names: Sequence[str] | None = None) -> Told:
+    """The robots `names` (all) are heard from `since_ns` on."""
+    names = told.names if names is None else names
     kept = tuple(e for e in told.events if e.robot not in names or e.stamp_ns >= since_ns)
-    return replace(told, events=kept, culprits=tuple(names), begins_ns=since_ns, known_ns=since_ns)
+    return replace(told, events=kept, culprits=tuple(names), begins_ns=since_ns)
+
+
+def _with_noise(motion: MotionSettings, factor: float) -> MotionSettings:
+    """Standard deviations times `factor`."""
+    names = {f.name for f in fields(motion)} - {"scale_sigma"}
+    return replace(motion, **{name: factor * getattr(motion, name) for name in names})
 
 
 def _tuples(starts: Sequence[np.ndarray]) -> tuple[tuple[float, float, float], ...]:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from msg_defs.types import Trajectory
+from msg_defs.types import ObservationSet, Trajectory
 from multi_robot_slam import runs
 from multi_robot_slam.runs.associations import associations, origins
 from multi_robot_slam.runs.consistency import nees, published_means
@@ -72,10 +72,13 @@ def row(name: str, outcome: Outcome, exact: Outcome) -> Row:
     later_ns = known_ns + int(LATER_S * 1e9)
     others = [robot for robot in told.names if robot not in told.culprits]
     figures, exact_figures = runs.evaluate(run), runs.evaluate(exact.run)
+    later = {robot: one.since(later_ns) for robot, one in own.items()}
+    exact_later = {robot: one.since(later_ns) for robot, one in reference.items()}
     judged = {
         "published": own,
         "aligned": aligned(own),
-        "later": {robot: one.since(later_ns) for robot, one in own.items()},
+        "later": later,
+        "later, aligned": aligned(later),
     }[WORLDS[name].judged]
     noticed = said(run, told.begins_ns)
     noticed_ns = min((stamp for stamp, _, _ in noticed), default=None)
@@ -93,8 +96,10 @@ def row(name: str, outcome: Outcome, exact: Outcome) -> Row:
         exact_published_m=error(reference),
         aligned_m=error(aligned(own)),
         exact_aligned_m=error(aligned(reference)),
-        later_m=error(own, since_ns=later_ns),
-        exact_later_m=error(reference, since_ns=later_ns),
+        later_m=error(later),
+        exact_later_m=error(exact_later),
+        later_aligned_m=error(aligned(later)),
+        exact_later_aligned_m=error(aligned(exact_later)),
         others_m=error(own, others, told.begins_ns),
         exact_others_m=error(reference, others, told.begins_ns),
         nees=_nees(judged),
@@ -161,9 +166,15 @@ def error(team: Team, names: Iterable[str] | None = None, since_ns: int = 0) -> 
 
 
 def first_meeting(told: Told) -> int:
-    """When first a robot sees a landmark that another one has seen, one of them a culprit [ns]."""
+    """When first a robot sees a landmark that another one has seen, one of them a culprit [ns].
+
+    By what is sent to the fusion.
+    """
     seen_by: dict[int, set[str]] = {}
-    frames = sorted((stamp, robot) for robot, stamp in told.recorded.observation_truth)
+    sent = {(e.robot, e.stamp_ns) for e in told.events if isinstance(e, ObservationSet)}
+    frames = sorted(
+        (stamp, robot) for robot, stamp in told.recorded.observation_truth if (robot, stamp) in sent
+    )
     for stamp, robot in frames:
         for landmark in told.recorded.observation_truth[robot, stamp].tolist():
             others = seen_by.setdefault(landmark, set()) - {robot}

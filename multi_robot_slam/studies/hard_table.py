@@ -34,6 +34,8 @@ class Row:
     later_m: float | None
     """From 10 s after the difference can be noticed."""
     exact_later_m: float | None
+    later_aligned_m: float | None
+    exact_later_aligned_m: float | None
     others_m: float | None
     """Of the robots that the difference is not about, since it began."""
     exact_others_m: float | None
@@ -136,8 +138,10 @@ TARGETS = {
     "start-far": Target(noticed=True),
     "swapped": Target(noticed=True),
     "odometry-3": Target(ratio=1.2, factor=True),
+    "odometry-3-told": Target(),
     "odometry-third": Target(ratio=1.2, factor=True),
     "camera-3": Target(ratio=1.2, factor=True),
+    "camera-3-told": Target(),
     "camera-third": Target(ratio=1.2, factor=True),
     "odometry-biased": Target(ratio=1.3, or_noticed=True),
     "silent": Target(ratio=1.3, nees=True),
@@ -188,6 +192,7 @@ def judged(row: Row) -> Pair:
         "published": (row.published_m, row.exact_published_m),
         "aligned": (row.aligned_m, row.exact_aligned_m),
         "later": (row.later_m, row.exact_later_m),
+        "later, aligned": (row.later_aligned_m, row.exact_later_aligned_m),
     }[WORLDS[row.world].judged]
 
 
