@@ -6,6 +6,9 @@ from msg_defs.wire import Estimates
 from multi_robot_slam.runs.run import Run
 from multi_robot_slam.runs.trajectory_errors import at, covers, wrap
 
+ROUNDING_SQ = 1e-18
+"""Variances up to that of a nanometre or nanoradian come from rounding, not from a spread."""
+
 
 def nees(errors: np.ndarray, covariances: np.ndarray) -> float | None:
     """Average normalised estimation error squared of (n, 3) `errors`, 3 if (n, 3, 3) are right.
@@ -22,7 +25,9 @@ def normalised(errors: np.ndarray, covariances: np.ndarray) -> np.ndarray:
     A singular covariance claims certainty, which no error can be held to: it is left out. So is
     the known start, and the spread of three particles or fewer.
     """
-    regular = np.linalg.matrix_rank(covariances, hermitian=True) == errors.shape[1]
+    largest = np.linalg.norm(covariances, ord=2, axis=(1, 2))
+    least = np.maximum(ROUNDING_SQ, largest * errors.shape[1] * np.finfo(float).eps)
+    regular = np.linalg.matrix_rank(covariances, tol=least, hermitian=True) == errors.shape[1]
     errors, covariances = errors[regular], covariances[regular]
     whitened = np.linalg.solve(covariances, errors[:, :, None])[:, :, 0]
     return np.sum(errors * whitened, axis=1)

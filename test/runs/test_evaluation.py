@@ -162,6 +162,8 @@ def test_nees_leaves_out_what_claims_certainty():
     assert consistency.nees(np.ones((4, 3)), covariances) == pytest.approx(3)
     assert consistency.nees(np.ones((3, 3)), covariances[1:]) is None
     assert consistency.nees(np.empty((0, 3)), np.empty((0, 3, 3))) is None
+    rounding = 1e-15 * np.random.default_rng(0).normal(size=(1, 3, 50))
+    assert consistency.nees(np.ones((1, 3)), rounding @ rounding.transpose(0, 2, 1) / 50) is None
 
 
 @pytest.mark.parametrize("turns", [-1, 0, 2])
