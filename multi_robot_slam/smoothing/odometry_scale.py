@@ -94,17 +94,19 @@ def _profile(
     by_pose[len(problem.anchors) :] = mixed[:, 3:]
     np.add.at(by_pose, problem.previous, mixed[:, :3])
     solved = smoothed.factor.solve_lower(by_pose.reshape(3 * len(poses), unknown))
-    return gradient, _not_negative(np.einsum("prs,prt->st", by_scale, by_scale) - solved.T @ solved)
+    curvature = np.einsum("prs,prt->st", by_scale, by_scale) - solved.T @ solved
+    return _of_what_is_known(gradient, curvature)
 
 
-def _not_negative(curvature: np.ndarray) -> np.ndarray:
-    """The nearest (n, n) matrix without negative eigenvalues.
+def _of_what_is_known(gradient: np.ndarray, curvature: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Both along the eigenvectors of the curvature (n, n) whose eigenvalue is positive.
 
     H was linearised one iteration before B. Where a residual is as stiff as a standing robot's,
     the difference of the two may be below zero: there the paths say nothing of the factors.
     """
     values, vectors = np.linalg.eigh(curvature)
-    return (vectors * values.clip(min=0.0)) @ vectors.T
+    known = vectors[:, values > 0]
+    return known @ (known.T @ gradient), (known * values[values > 0]) @ known.T
 
 
 def doubted(

@@ -72,6 +72,14 @@ def test_fixed_poses_leave_what_they_say():
     np.testing.assert_allclose(learnt.mean, learnt.factors.ravel())
 
 
+def test_where_the_curvature_is_negative_the_paths_say_nothing():
+    turn = np.array([[0.6, -0.8], [0.8, 0.6]])
+    curvature = turn @ np.diag([-5.0, 3.0]) @ turn.T
+    gradient, known = odometry_scale._of_what_is_known(turn @ [7.0, 2.0], curvature)
+    np.testing.assert_allclose(turn.T @ gradient, [0, 2], atol=1e-12)
+    np.testing.assert_allclose(turn.T @ known @ turn, np.diag([0, 3]), atol=1e-12)
+
+
 def test_without_doubt_the_factors_stay_one():
     records, identities, poses = history(steps=5)
     problem, best = smoothed_with(records, identities, poses, np.ones((3, 2)))
