@@ -19,7 +19,7 @@ figures: $(VENV)/installed ## the paper's experiments into runs/figures, 20 repe
 	$(VENV)/bin/multi_robot_slam study experiment all --repeats 20 --out runs/figures
 
 test: $(VENV)/installed ## the tests
-	$(VENV)/bin/python -m pytest
+	$(VENV)/bin/python -m pytest -n auto --maxprocesses 8 --dist loadfile
 
 check: $(VENV)/installed ## style, import rules, types, tests: what must pass before a commit
 	$(VENV)/bin/ruff check
