@@ -116,9 +116,9 @@ class Config:
     ] = ((0.0, 0.0, 0.0),)
     start_sigma: Annotated[
         tuple[float, float],
-        "standard deviations of the start poses [m, rad] of every robot but the first, which fixes "
-        "`map`; as well as a robot is put down by hand and by eye, or measured with a tape: 5 cm "
-        "and 2 degrees; 0, 0: known",
+        "standard deviations of the start poses [m, rad]; `map` is where the first robot is at its "
+        "own, so that its error is the others'; as well as a robot is put down by hand and by "
+        "eye, or measured with a tape: 5 cm and 2 degrees; 0, 0: known",
     ] = (0.05, 0.035)
     start_sigmas: Annotated[
         tuple[tuple[float, float], ...],
@@ -170,7 +170,7 @@ class Config:
         if self.start_sigmas and len(self.start_sigmas) != count:
             raise InputError(
                 f"start_sigmas: {len(self.start_sigmas)} for {count} robots; give metres and "
-                "radians of each, or none and `start_sigma` for all but the first"
+                "radians of each, or none and `start_sigma` for all"
             )
         for sigmas in (self.start_sigma, *self.start_sigmas):
             if not (np.isfinite(sigmas).all() and min(sigmas) >= 0):

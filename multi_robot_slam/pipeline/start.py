@@ -8,6 +8,11 @@ its first frame may come later, if the fusion begins late, or if frames were los
 The driver's own covariance is P_way where it can be one. Otherwise that is what (7) says of a
 straight way between its ends (B2), the least that any way is worth: a robot that came back after a
 long drive is less certain than that, and nothing but its driver knows.
+
+Where all starts are measured alike, with P, and the first is taken for certain, as what `map` is
+by, its error is the others': they are turned around it and shifted with it (B3)
+
+    P_start = P + J P J^T,    J = [1 0 -(y - y_1); 0 1 x - x_1; 0 0 1]
 """
 
 import numpy as np
@@ -36,12 +41,22 @@ def start_of(robot: int, stamp_ns: int, odometry: Odometry, config: Config) -> S
     covariance = np.zeros((3, 3))
     if way.any():
         covariance = least_covariance(way, max(stamp_ns - first_ns, 0) / 1e9, config.filter.motion)
-        told = odometry.covariance_at(stamp_ns) if is_known_at_origin else None
-        if told is not None and _can_be(told, covariance):
-            covariance = told
+        drivers = odometry.covariance_at(stamp_ns) if is_known_at_origin else None
+        if drivers is not None and _can_be(drivers, covariance):
+            covariance = drivers
+    told = np.array(config.start_poses[robot])
+    return Start(*composed(told, start_covariance(robot, config), way, covariance))
+
+
+def start_covariance(robot: int, config: Config) -> np.ndarray:
+    """(3, 3): of the start pose that was told of the robot with this index."""
     metres, radians = config.start_sigma_of(robot)
-    believed = np.diag([metres**2, metres**2, radians**2])
-    return Start(*composed(np.array(config.start_poses[robot]), believed, way, covariance))
+    own = np.diag([metres**2, metres**2, radians**2])
+    if robot == 0 or config.start_sigmas:
+        return own
+    x, y, _ = np.subtract(config.start_poses[robot], config.start_poses[0])
+    with_first = np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, 1.0]])
+    return own + with_first @ own @ with_first.T
 
 
 def _can_be(told: np.ndarray, least: np.ndarray) -> bool:

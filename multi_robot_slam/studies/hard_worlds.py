@@ -51,8 +51,8 @@ WORLDS: dict[str, World] = {
     "start-far-told": World(changes.start_off(1, *FAR, FAR_SIGMA)),
     "first-near": World(changes.start_off(0, *NEAR), judged="aligned"),
     "first-far-told": World(changes.start_off(0, *FAR, FAR_SIGMA), judged="aligned"),
-    "start-far": World(changes.start_off(1, *FAR)),
-    "swapped": World(changes.starts_swapped),
+    "start-far": World(changes.start_off(1, *FAR), judged="later"),
+    "swapped": World(changes.starts_swapped, judged="later, aligned"),
     "odometry-3": World(changes.odometry_noise(3.0)),
     "odometry-3-told": World(changes.odometry_noise(3.0, is_told=True)),
     "odometry-third": World(changes.odometry_noise(1 / 3)),
@@ -77,13 +77,13 @@ WORLDS: dict[str, World] = {
     "short-sight": World(simulated={"d_max_m": 5.0}, has_optimum=True),
     "few-observations": World(simulated={"observations": 5}, has_optimum=True),
     "robot-late": World(changes.robot_late(20.0), judged="later"),
-    "fusion-restarted": World(changes.fusion_restarted, judged="later, aligned"),
     "robot-restarted": World(changes.robot_restarted, judged="later"),
     "slip": World(changes.slipped),
     "carried": World(changes.carried),
     EXACT_TWICE: World(rounds=2),
     "landmarks-moved": World(changes.landmarks_moved, rounds=2),
     "fusion-late": World(changes.fusion_late(60.0), rounds=2, judged="later, aligned"),
+    "fusion-restarted": World(changes.fusion_restarted, rounds=2, judged="later, aligned"),
 }
 """By name, in the order of the table."""
 

@@ -54,17 +54,34 @@ def test_at_the_origin_of_its_odometry_a_robot_is_where_it_was_told_to_be():
     start = start_of(B, 2 * SECOND, odometry, EXACT)
     assert start.mean.tobytes() == np.array(START).tobytes()
     assert not start.covariance.any()
-    start = start_of(B, 2 * SECOND, odometry, replace(CONFIG, start_sigma=(0.3, 0.1)))
+    each = replace(CONFIG, start_sigmas=((0.0, 0.0), (0.3, 0.1)))
+    start = start_of(B, 2 * SECOND, odometry, each)
     np.testing.assert_allclose(start.covariance, np.diag([0.09, 0.09, 0.01]), atol=1e-16)
 
 
 def test_the_first_robot_is_known_unless_it_is_told_otherwise():
     odometry = heard((0, (0, 0, 0), np.zeros((3, 3))))
     assert not start_of(0, 0, odometry, CONFIG).covariance.any()
-    assert start_of(B, 0, odometry, CONFIG).covariance[0, 0] == pytest.approx(0.05**2)
     each = replace(CONFIG, start_sigmas=((0.2, 0.1), (0.0, 0.0)))
     assert start_of(0, 0, odometry, each).covariance[2, 2] == pytest.approx(0.01)
     assert not start_of(B, 0, odometry, each).covariance.any()
+
+
+def test_the_first_robot_s_error_is_the_others():
+    """All starts err alike; then the team is turned and shifted until the first is where told."""
+    sigma = (0.02, 0.03)
+    rng, count = np.random.default_rng(0), 100_000
+    errors = rng.normal(size=(2, 3, count)) * np.array([sigma[0], sigma[0], sigma[1]])[:, None]
+    first, second = np.zeros((3, 1)) + errors[0], np.array(START)[:, None] + errors[1]
+    cos, sin = np.cos(first[2]), np.sin(first[2])
+    x, y = second[:2] - first[:2]
+    seen = np.array([cos * x + sin * y, cos * y - sin * x, second[2] - first[2]])
+    odometry = heard((0, (0, 0, 0), np.zeros((3, 3))))
+    start = start_of(B, 0, odometry, replace(CONFIG, start_sigma=sigma))
+    scale = np.sqrt(np.diag(start.covariance))
+    np.testing.assert_allclose(
+        np.cov(seen) / np.outer(scale, scale), start.covariance / np.outer(scale, scale), atol=0.02
+    )
 
 
 def test_a_later_frame_is_where_odometry_has_taken_the_robot():
@@ -151,7 +168,7 @@ def test_between_two_samples_the_driver_s_covariance_is_that_of_the_second():
 
 def test_the_covariance_is_that_of_starts_and_ways_that_err():
     """Monte Carlo: start and way are drawn and composed."""
-    config = replace(CONFIG, start_sigma=(0.1, 0.03))
+    config = replace(CONFIG, start_sigmas=((0.0, 0.0), (0.1, 0.03)))
     way, its = np.array([4.0, 1.0, 0.7]), 0.002 * (np.eye(3) + 0.3)
     start = start_of(B, 0, heard((0, way, USABLE * 0.01 + its)), config)
     rng = np.random.default_rng(0)
