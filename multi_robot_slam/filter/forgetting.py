@@ -44,26 +44,33 @@ def without_chance_finds(
 
 
 def forgotten(
-    ids: np.ndarray, places: np.ndarray, counts: np.ndarray, settings: RejuvenationSettings
+    ids: np.ndarray,
+    places: np.ndarray,
+    counts: np.ndarray,
+    settings: RejuvenationSettings,
+    pieces: np.ndarray | int = 0,
 ) -> np.ndarray:
     """Those of the landmarks `ids` (n,) that are not worth their cost, ascending.
 
     Parameters
     ----------
-    places : (n, 3) in `map` [m].
+    places : (n, 3) in the frame of its piece [m].
     counts : (n,) how often each was observed.
+    pieces : (n,) of the map, or that of all.
 
     """
     is_seen = counts >= settings.least_seen
     most = settings.landmarks
     if np.count_nonzero(is_seen) > most:
         kept = np.flatnonzero(is_seen)
-        best = np.argsort(_rank_in_cell(places[kept], counts[kept], ids[kept]), kind="stable")
+        cells = np.floor(places[kept, :2] / NEIGHBOURHOOD_M)
+        cells = np.column_stack([cells, np.broadcast_to(pieces, len(ids))[kept]])
+        best = np.argsort(_rank_in_cell(cells, counts[kept], ids[kept]), kind="stable")
         is_seen[kept[best[most:]]] = False
     return np.sort(ids[~is_seen])
 
 
-def _rank_in_cell(places: np.ndarray, counts: np.ndarray, ids: np.ndarray) -> np.ndarray:
+def _rank_in_cell(cells: np.ndarray, counts: np.ndarray, ids: np.ndarray) -> np.ndarray:
     """(n,): how many of its cell were observed more often; the newer of equals first."""
-    _, cells = np.unique(np.floor(places[:, :2] / NEIGHBOURHOOD_M), axis=0, return_inverse=True)
-    return in_groups(cells, np.lexsort([-ids, -counts]))
+    _, numbers = np.unique(cells, axis=0, return_inverse=True)
+    return in_groups(numbers, np.lexsort([-ids, -counts]))

@@ -28,10 +28,11 @@ class Landmarks:
 
     Attributes
     ----------
-    planes : (N, 9, M) mean x y z [m] and covariance xx xy xz yy yz zz [m^2], in `map`.
+    planes : (N, 9, M) mean x y z [m] and covariance xx xy xz yy yz zz [m^2].
     descriptors : (N, 128) float32.
     boxes : (N, 4) float64: x low, x high, y low, y high, see `kernels.bound`.
     ids : (N,) int32, ascending in the order of creation; FREE where the column is unused.
+    pieces : (N,) int32: the piece of the map that each belongs to, in whose frame it is.
 
     """
 
@@ -48,6 +49,7 @@ class Landmarks:
         self.descriptors = descriptors
         self.boxes = np.empty((capacity, 4))
         self.ids = np.full(capacity, FREE, np.int32)
+        self.pieces = np.zeros(capacity, np.int32)
         self.top = 0
         self._next_id = 0
         self._partial = np.zeros(capacity, bool)
@@ -58,7 +60,12 @@ class Landmarks:
 
     @classmethod
     def holding(
-        cls, ids: np.ndarray, planes: np.ndarray, descriptors: np.ndarray, next_id: int
+        cls,
+        ids: np.ndarray,
+        planes: np.ndarray,
+        descriptors: np.ndarray,
+        next_id: int,
+        pieces: np.ndarray | int = 0,
     ) -> "Landmarks":
         """A map that holds the landmarks `ids` (N,) in its first N columns, all up to date.
 
@@ -70,10 +77,12 @@ class Landmarks:
             are not copied and belong to the map from now on; from `reserved` they never are.
         descriptors : (N, 128) float32, which belong to the map, too.
         next_id : of the landmark that is created next, larger than all `ids`.
+        pieces : (N,), or that of all.
         """
         landmarks = cls.__new__(cls)
         landmarks._hold(planes, descriptors)
         landmarks.ids[:] = ids
+        landmarks.pieces[:] = pieces
         landmarks.top = len(ids)
         landmarks._next_id = next_id
         landmarks._release_unowned(np.arange(len(ids)))
@@ -100,9 +109,12 @@ class Landmarks:
         self._generations[columns] = self._current
         return columns
 
-    def commit(self, columns: np.ndarray, created: np.ndarray, descriptors: np.ndarray) -> None:
+    def commit(
+        self, columns: np.ndarray, created: np.ndarray, descriptors: np.ndarray, piece: int = 0
+    ) -> None:
         """Keep the reserved columns that were `created` (B,) in some particle; free the others."""
         self.descriptors[columns] = descriptors
+        self.pieces[columns] = piece
         self._partial[columns] = created < self.planes.shape[2]
         self._release(columns[created == 0])
         self._reserved = columns[:0]
@@ -209,5 +221,6 @@ class Landmarks:
         self.boxes = enlarged(self.boxes)
         self.ids = enlarged(self.ids)
         self.ids[old:] = FREE
+        self.pieces = enlarged(self.pieces)
         self._partial = enlarged(self._partial)
         self._generations = enlarged(self._generations)

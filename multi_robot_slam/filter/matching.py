@@ -52,6 +52,8 @@ class Matching(NamedTuple):
     new_columns: np.ndarray
     """(B,) the column each observation may create."""
     matches: Matches
+    piece: int
+    """Of the robot."""
 
 
 def begin(
@@ -63,12 +65,14 @@ def begin(
     tried.
     """
     landmarks, (v, noise) = state.landmarks, (frame.positions, frame.covariances)
+    piece = int(state.pieces.of_robots[frame.robot])
     count, dtype = len(v), landmarks.planes.dtype
     near = np.empty(0, int)
     if count:
         poses = state.poses[frame.robot]
         box = association.field_of_search(poses, v, noise, settings.gate, pose_margin)
         near = landmarks.near(box)
+        near = near[landmarks.pieces[near] == piece]
     candidates = association.find_candidates(
         frame.descriptors, landmarks.descriptors[near], near, settings.descriptor_gate
     )
@@ -79,7 +83,8 @@ def begin(
     shape = (count, settings.particles)
     matches = Matches(np.empty(shape, np.int32), np.empty(shape, dtype), np.empty(shape, dtype))
     observed = Observed(v.astype(dtype), frame.covariances.astype(dtype))
-    return Matching(frame, observed, candidates, touched, landmarks.reserve(count), matches)
+    new_columns = landmarks.reserve(count)
+    return Matching(frame, observed, candidates, touched, new_columns, matches, piece)
 
 
 def finish(
@@ -89,7 +94,7 @@ def finish(
     sighted: Sighted,
 ) -> FrameInfo:
     """Keep the landmarks that were created, and weigh (16)."""
-    frame, _, candidates, touched, new_columns, matches = matching
+    frame, _, candidates, touched, new_columns, matches, piece = matching
     new_ids = landmarks.ids[new_columns]
     ids, candidate_ids = kernels.name(
         matches.columns, candidates.columns, new_columns, landmarks.ids
@@ -97,7 +102,7 @@ def finish(
     created = kernels.complete_new(landmarks.planes, new_columns, matches.columns)
     landmarks.bound(touched, settings.gate)
     landmarks.bound(new_columns[created > 0], settings.gate)
-    landmarks.commit(new_columns, created, frame.descriptors)
+    landmarks.commit(new_columns, created, frame.descriptors, piece)
     log_likelihood = kernels.log_likelihood(matches.mahalanobis_sq, matches.determinants)
     return FrameInfo(
         ids,

@@ -26,6 +26,8 @@ class Held:
     """Of planes."""
     next_id: int
     """Of the landmark that is created next."""
+    pieces: np.ndarray
+    """(N,) int32: piece of the map that each belongs to."""
     others: np.ndarray
     """(n,): particles."""
     planes: np.ndarray
@@ -46,6 +48,7 @@ def held(landmarks: Landmarks, others: np.ndarray, ancestors: np.ndarray, partic
         landmarks.planes.shape[2],
         landmarks.planes.dtype,
         landmarks.next_id,
+        landmarks.pieces[columns],
         others,
         landmarks.planes_of(columns, ancestors),
     )
@@ -72,5 +75,5 @@ def of_groups(old: Held, groups: Sequence[tuple[np.ndarray, np.ndarray, np.ndarr
         planes[np.ix_(rows, np.arange(kernels.PLANES), particles)] = values
     rows = np.searchsorted(ids, old.ids[is_held])
     planes[np.ix_(rows, np.arange(kernels.PLANES), old.others[keeps])] = kept[is_held]
-    descriptors = old.descriptors[np.searchsorted(old.ids, ids)]
-    return Landmarks.holding(ids, planes, descriptors, old.next_id)
+    rows = np.searchsorted(old.ids, ids)
+    return Landmarks.holding(ids, planes, old.descriptors[rows], old.next_id, old.pieces[rows])

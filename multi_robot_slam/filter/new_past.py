@@ -72,7 +72,7 @@ def draw(
 
     """
     lineage = list(old.history.lineage(members))[::-1]
-    records = [record for record, _ in lineage]
+    records = [old.pieces.within(record) for record, _ in lineage]
     poses = _first_guess(old, lineage)
     identities = [record.matches[:, rows[0]] for record, rows in lineage]
     problem, smoothed, aliases = _smooth(old, records, poses, identities, alike, settings)
@@ -160,6 +160,7 @@ def _smooth(
         settings.gate,
         settings.exclusive,
         settings.correlated,
+        Aliases().joined(old.pieces.pairs),
     )
 
 

@@ -10,6 +10,7 @@ from multi_robot_slam.filter.existence import Existence
 from multi_robot_slam.filter.history import History
 from multi_robot_slam.filter.landmarks import Landmarks
 from multi_robot_slam.filter.matching import FrameInfo
+from multi_robot_slam.filter.pieces import Pieces
 from multi_robot_slam.filter.proposals import (
     PROPOSALS,
     NotFiniteError,
@@ -19,6 +20,7 @@ from multi_robot_slam.filter.proposals import (
 from multi_robot_slam.filter.rejuvenation import Rejuvenated
 from multi_robot_slam.filter.settings import FilterSettings
 from multi_robot_slam.filter.state import State, resample
+from multi_robot_slam.filter.tying import Tie
 from multi_robot_slam.models.frames import RobotFrame
 from multi_robot_slam.models.parallel import one_thread
 from multi_robot_slam.models.ranging import Ranging
@@ -43,6 +45,8 @@ class StepInfo(NamedTuple):
     """(M,) int32: the particle before resampling that each continues; None: not resampled."""
     rejuvenated: Rejuvenated | None = None
     """Of the rejuvenation that counts from this step on (`running`)."""
+    tied: Tie | None = None
+    """What was tied after this step (`running`)."""
 
 
 def init(
@@ -50,13 +54,17 @@ def init(
     settings: FilterSettings,
     dtype: type = np.float32,
     keeps_frames: bool = True,
+    are_known: np.ndarray | None = None,
 ) -> State:
-    """All particles at `start_poses` (K, 3): x, y [m], yaw [rad] in `map`; an empty map.
+    """All particles at `start_poses` (K, 3): x, y [m], yaw [rad]; an empty map.
 
-    `keeps_frames`: whether frames that settle are kept whole.
+    `keeps_frames`: whether frames that settle are kept whole. `are_known` (K,): which of the poses
+    are in `map`; each other one is in a piece of the robot's own. None: all.
     """
     count = settings.particles
     start_poses = np.asarray(start_poses, float)
+    if are_known is None:
+        are_known = np.ones(len(start_poses), bool)
     return State(
         poses=np.repeat(start_poses[:, :, None], count, axis=2),
         landmarks=Landmarks(count, dtype),
@@ -68,6 +76,7 @@ def init(
         noise=NoiseFactors.as_told(len(start_poses)),
         prior=Prior.exact(start_poses),
         existence=Existence.nothing(len(start_poses)),
+        pieces=Pieces.of_starts(are_known),
     )
 
 
@@ -108,7 +117,9 @@ def _propose(
     moved poses and the sightings in the proposals.
     """
     before = state.poses.copy()
-    frames = [frame.with_noise(state.noise.used[frame.robot, 1]) for frame in frames]
+    frames = [
+        state.pieces.within(frame).with_noise(state.noise.used[frame.robot, 1]) for frame in frames
+    ]
     try:
         for frame in frames:
             require_usable(frame)

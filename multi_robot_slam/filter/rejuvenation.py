@@ -107,7 +107,9 @@ def _draw_groups(
     None at all without the largest: what settles is what it makes of it.
     """
     least = settings.rejuvenation.share * len(old.log_weight_sum)
-    alike = old.held.ids[joining.alike(old.held.descriptors, settings.descriptor_gate)]
+    rows = joining.alike(old.held.descriptors, settings.descriptor_gate)
+    own, other = old.held.pieces[rows].T
+    alike = old.held.ids[rows[own == other]]
     drawn: list[Drawn] = []
     failures: list[str] = []
     for members in old.groups:
@@ -143,6 +145,7 @@ def _renewed(old: Snapshot, drawn: list[Drawn], settings: FilterSettings) -> Sta
         **_learnt(old, largest, settle, settings)._asdict(),
         prior=prior,
         existence=_existence(old, largest, settle, settings).forget(lost),
+        pieces=old.pieces.when_joined(),
         covisible=covisible.only(prior.ids),
         optimum=Optimum(largest.smoothed.of_records[settle:], None if settle else largest.smoothed),
         steps=old.steps,
@@ -184,9 +187,20 @@ def _existence(old: Snapshot, largest: Drawn, settle: int, settings: FilterSetti
     past, records = largest.past, old.history.records
     poses, identities = past.paths[:, :, 0], past.identities
     views = known.seen(frames_of(records, poses, identities))
-    leaving = frames_of(records[:settle], poses[:settle], identities[:settle])
-    placed = Placed.of(largest.ids, largest.planes[:, :, 0])
-    return known.also(leaving, placed, views, settings.existence)
+    pieces = old.pieces.of_robots[[record.robot for record in records[:settle]]]
+    of_landmarks = _pieces_of(old, largest.ids)
+    for piece in np.unique(pieces):
+        rows = np.flatnonzero(pieces == piece)
+        leaving = frames_of([records[p] for p in rows], poses[rows], [identities[p] for p in rows])
+        own = of_landmarks == piece
+        placed = Placed.of(largest.ids[own], largest.planes[own, :, 0])
+        known = known.also(leaving, placed, views, settings.existence)
+    return known
+
+
+def _pieces_of(old: Snapshot, ids: np.ndarray) -> np.ndarray:
+    """The piece of each of the landmarks `ids`."""
+    return old.held.pieces[np.searchsorted(old.held.ids, ids)]
 
 
 def _how_many_settle(old: Snapshot, largest: Drawn, settings: FilterSettings) -> int:
@@ -214,7 +228,8 @@ def _without_centre(
     ids = np.union1d(largest.prior.ids, leaving) if settle else leaving
     ids = ids[np.isin(ids, largest.ids)]
     places = largest.planes[np.searchsorted(largest.ids, ids), :3, 0].astype(float)
-    return forgotten(ids, places, seen.of_ids(ids)[0], settings.rejuvenation)
+    counts, pieces = seen.of_ids(ids)[0], _pieces_of(old, ids)
+    return forgotten(ids, places, counts, settings.rejuvenation, pieces)
 
 
 def _unseen_since(ids: np.ndarray, old: Snapshot, largest: Drawn, settle: int) -> np.ndarray:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from multi_robot_slam.filter import rbpf, rejuvenation, snapshot
+from multi_robot_slam.filter import rbpf, rejuvenation, snapshot, tying
 from multi_robot_slam.filter.published import are_there
 from multi_robot_slam.filter.rbpf import StepInfo
 from multi_robot_slam.filter.rejuvenation import FAILURES, Rejuvenated
@@ -43,8 +43,7 @@ class ParticleFilter:
 
     Parameters
     ----------
-    start_poses : (K, 3): x, y [m], yaw [rad] in `map`.
-    keeps_frames : whether frames that settle are kept whole, to smooth a whole run at its end.
+    start_poses, keeps_frames, are_known : as of `rbpf.init`.
 
     """
 
@@ -54,8 +53,11 @@ class ParticleFilter:
         settings: FilterSettings,
         rng: np.random.Generator,
         keeps_frames: bool = True,
+        are_known: np.ndarray | None = None,
     ) -> None:
-        self.state = rbpf.init(start_poses, settings, keeps_frames=keeps_frames)
+        self.state = rbpf.init(
+            start_poses, settings, keeps_frames=keeps_frames, are_known=are_known
+        )
         self._settings = settings
         self._rng = rng
         self._begun: _Begun | None = None
@@ -70,8 +72,12 @@ class ParticleFilter:
             if now_ns - self._begun.stamp_ns >= self._settings.rejuvenation.delay_s * 1e9:
                 begun, self._begun = self._begun, None
                 info = self._take_over(begun, info)
-        if self._begun is None and rejuvenation.is_due(self.state, self._settings.rejuvenation):
-            self._begin(now_ns)
+        if self._begun is None:
+            tied = tying.tie(self.state, self._settings, self._rng)
+            info = info._replace(tied=tied)
+            rest = self._settings.rejuvenation
+            if rejuvenation.is_due(self.state, rest) or (tied and rest.ancestors_below):
+                self._begin(now_ns)
         return info
 
     def close(self) -> None:

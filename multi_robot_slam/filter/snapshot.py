@@ -9,6 +9,7 @@ from multi_robot_slam.filter.covisible import Covisible
 from multi_robot_slam.filter.existence import Existence
 from multi_robot_slam.filter.history import History
 from multi_robot_slam.filter.new_map import Held
+from multi_robot_slam.filter.pieces import Pieces
 from multi_robot_slam.filter.settings import FilterSettings
 from multi_robot_slam.filter.state import Optimum, State
 from multi_robot_slam.smoothing.noise_factors import NoiseFactors
@@ -31,6 +32,7 @@ class Snapshot:
     noise: NoiseFactors
     prior: Prior
     existence: Existence
+    pieces: Pieces
     covisible: Covisible
     optimum: Optimum | None
     groups: tuple[np.ndarray, ...]
@@ -62,6 +64,7 @@ def taken(state: State, settings: FilterSettings, rng: np.random.Generator) -> S
         state.noise,
         state.prior.forget(lost) if len(lost) else state.prior,
         state.existence,
+        state.pieces,
         state.covisible,
         state.optimum,
         tuple(groups),

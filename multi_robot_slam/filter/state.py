@@ -9,6 +9,7 @@ from multi_robot_slam.filter.covisible import Covisible
 from multi_robot_slam.filter.existence import Existence
 from multi_robot_slam.filter.history import History
 from multi_robot_slam.filter.landmarks import Landmarks
+from multi_robot_slam.filter.pieces import Pieces
 from multi_robot_slam.smoothing.noise_factors import NoiseFactors
 from multi_robot_slam.smoothing.odometry_scale import Scales
 from multi_robot_slam.smoothing.prior import Prior
@@ -29,7 +30,7 @@ class State:
     """What the next step needs; `rbpf.step` changes it in place."""
 
     poses: np.ndarray
-    """(K, 3, M) float64: x, y [m], yaw [rad] in `map`."""
+    """(K, 3, M) float64: x, y [m], yaw [rad] in the frame of the robot's piece."""
     landmarks: Landmarks
     log_weights: np.ndarray
     """(M,) float64: logarithm of the weights since the last resampling, up to a constant."""
@@ -45,6 +46,7 @@ class State:
     """What the settled frames say: of where the robots were at their end, and of landmarks."""
     existence: Existence
     """Of the landmarks, by what settled frames say."""
+    pieces: Pieces
     covisible: Covisible = field(default_factory=Covisible.nothing)
     """Of the settled frames."""
     optimum: Optimum | None = None

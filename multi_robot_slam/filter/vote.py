@@ -72,6 +72,8 @@ class Vote(NamedTuple):
     """How many places these are."""
     runner_up: int
     """The same of the best other pose; two, which any has, at least."""
+    middle: np.ndarray
+    """(2,): of what agrees, in the second piece [m]."""
     chance: float
     """(Q1): how many poses so good are expected of pieces that have nothing in common."""
 
@@ -119,7 +121,8 @@ def vote(ours: Points, theirs: Points, alike: np.ndarray) -> Vote | None:
     runner_up = 2 if other is None else max(2, count_things(ours.places[other[2][:, 0]]))
     p = _by_chance(ours, theirs, pose, covariance, agree)
     chance = proposed * _tail(things - runner_up, len(alike) - 2, p)
-    return Vote(pose, covariance, agree, things, runner_up, chance)
+    middle = theirs.places[agree[:, 1], :2].mean(axis=0)
+    return Vote(pose, covariance, agree, things, runner_up, middle, chance)
 
 
 def distances(
@@ -286,7 +289,7 @@ def _by_chance(
     ours: Points, theirs: Points, pose: np.ndarray, covariance: np.ndarray, agree: np.ndarray
 ) -> float:
     """p: the probability that two landmarks that have nothing to do with each other agree."""
-    a, b = _spread(len(ours.places)), _spread(len(theirs.places))
+    a, b = spread(len(ours.places)), spread(len(theirs.places))
     rows = np.stack(np.meshgrid(a, b, indexing="ij"), axis=-1).reshape(-1, 2)
     cos, sin = np.cos(pose[2]), np.sin(pose[2])
     moved = theirs.places[:, :2] @ [[cos, sin], [-sin, cos]] + pose[:2]
@@ -305,7 +308,7 @@ def _by_chance(
     return min(1.0, (1 + count) / (WIDER * (1 + np.count_nonzero(~is_pair))))
 
 
-def _spread(count: int) -> np.ndarray:
+def spread(count: int) -> np.ndarray:
     """At most `MOST_CROSSED` of the numbers below `count`, evenly."""
     kept = min(count, MOST_CROSSED)
     return np.arange(kept) * count // max(kept, 1)

@@ -33,7 +33,7 @@ MOST_OBSERVATIONS = 64
 
 
 class Predictions(NamedTuple):
-    """P pairs of an observation of one frame and a landmark anywhere that looks like it."""
+    """P pairs of an observation and a landmark anywhere in the robot's piece that looks like it."""
 
     observations: np.ndarray
     """(P,) int: row in the frame, ascending."""
@@ -107,6 +107,7 @@ def predict(state: State, frame: RobotFrame, settings: FilterSettings) -> Predic
     if not are_usable(frame.positions, frame.covariances, FAR / 2):
         return Predictions.none()
     alive = landmarks.alive()
+    alive = alive[landmarks.pieces[alive] == state.pieces.of_robots[frame.robot]]
     chosen = _spread(len(frame.positions), MOST_OBSERVATIONS)
     alike = squared_distances(frame.descriptors[chosen], landmarks.descriptors[alive])
     pairs, found = np.nonzero(alike <= settings.descriptor_gate)

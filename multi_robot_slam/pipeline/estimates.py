@@ -7,6 +7,7 @@ import numpy as np
 from msg_defs.types import LandmarkMap, Trajectory
 from multi_robot_slam.config import Config
 from multi_robot_slam.filter import rbpf, resampling
+from multi_robot_slam.filter.pieces import MAP
 from multi_robot_slam.filter.published import are_there
 from multi_robot_slam.filter.state import State
 from multi_robot_slam.models.frames import Record
@@ -21,7 +22,9 @@ def landmark_map(state: State, config: Config) -> LandmarkMap:
     landmarks = state.landmarks
     best = rbpf.best_particle(state)
     columns, values = landmarks.of_particle(best)
-    lineage = list(state.history.lineage(best))[::-1]
+    is_in_map = landmarks.pieces[columns] == MAP
+    columns, values = columns[is_in_map], values[is_in_map]
+    lineage = _in_map(state, list(state.history.lineage(best))[::-1])
     if config.filter.existence.is_on:
         kept = are_there(state, lineage, columns, values, config.filter)
         columns, values = columns[kept], values[kept]
@@ -43,8 +46,21 @@ def landmark_map(state: State, config: Config) -> LandmarkMap:
 
 
 def lineage(state: State) -> list[tuple[Record, int]]:
-    """The best particle's past, oldest first: its row in the record of each frame."""
-    return state.history.whole_lineage(rbpf.best_particle(state))
+    """The best particle's past, oldest first: its row in the record of each frame.
+
+    Of the robots whose place in `map` is known.
+    """
+    return _in_map(state, state.history.whole_lineage(rbpf.best_particle(state)))
+
+
+def _in_map(state: State, lineage: list[tuple[Record, int]]) -> list[tuple[Record, int]]:
+    """Without the frames of robots whose place in `map` is not known, and sightings of them."""
+    pieces = state.pieces
+    return [
+        (pieces.within(record), row)
+        for record, row in lineage
+        if pieces.robots_in_map[record.robot]
+    ]
 
 
 def trajectories(state: State, config: Config) -> dict[str, Trajectory]:
@@ -73,9 +89,13 @@ def wrapped(poses: np.ndarray) -> np.ndarray:
 def _by_robot(
     state: State, path: Sequence[tuple[Record, np.ndarray]], config: Config
 ) -> dict[str, Trajectory]:
-    """Trajectories: settled poses, then the pose (3,) in each record, newest first."""
+    """Trajectories: settled poses, then the pose (3,) in each record, newest first.
+
+    Of the robots whose place in `map` is known.
+    """
     result = {}
-    for index, name in enumerate(config.robots):
+    for index in np.flatnonzero(state.pieces.robots_in_map).tolist():
+        name = config.robots[index]
         stamps, poses = state.history.settled.path(index)
         own = [(record.stamp_ns, pose) for record, pose in reversed(path) if record.robot == index]
         if len(stamps) or own:

@@ -37,6 +37,7 @@ def smooth_and_join(
     gate: float,
     exclusive: bool,
     correlated: float = 1.0,
+    known: Aliases | None = None,
 ) -> tuple[Problem, Smoothed, Aliases]:
     """Smooth, join landmarks that turn out to be one, and repeat until none do.
 
@@ -47,6 +48,7 @@ def smooth_and_join(
     poses : (P, 3) to start from.
     alike : (A, 2) ids of landmarks that look alike.
     gate, exclusive, correlated : as in the filter's settings.
+    known : of landmarks that are one to begin with.
 
     Returns
     -------
@@ -54,7 +56,7 @@ def smooth_and_join(
     `SmoothingError` when a smoothing or a joint covariance fails.
 
     """
-    aliases = Aliases()
+    aliases = known or Aliases()
     while True:
         problem, smoothed = smoothed_with(aliases, poses)
         pairs = _distinct(aliases.of(alike))

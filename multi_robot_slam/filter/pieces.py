@@ -1,0 +1,55 @@
+"""Which robots belong together: a piece is robots and landmarks in a frame of their own.
+
+Nothing in one piece says where anything in another is, until both are tied (`tying`).
+"""
+
+from dataclasses import replace
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+
+from multi_robot_slam.filter.vote import Vote
+from multi_robot_slam.models.frames import BodySightings, Record, RobotFrame
+
+MAP = 0
+"""The piece whose frame is `map`."""
+
+Framed = TypeVar("Framed", RobotFrame, Record)
+
+
+class Pieces(NamedTuple):
+    """The pieces of a team of K robots; landmarks know theirs themselves."""
+
+    of_robots: np.ndarray
+    """(K,) int64."""
+    votes: tuple[tuple[int, int, Vote], ...] = ()
+    """Those in a row that were believed, of each two pieces, oldest first."""
+    pairs: np.ndarray = np.empty((0, 2), np.int64)
+    """(n, 2) ids of landmarks that are one by the last tie, until smoothing has joined them."""
+
+    @classmethod
+    def of_starts(cls, are_known: np.ndarray) -> "Pieces":
+        """Each robot whose start is not among those that `are_known` (K,) is a piece of its own."""
+        return cls(np.where(are_known, MAP, np.arange(1, len(are_known) + 1)))
+
+    @property
+    def are_many(self) -> bool:
+        """There is more than one."""
+        return len(np.unique(self.of_robots)) > 1
+
+    @property
+    def robots_in_map(self) -> np.ndarray:
+        """(K,) bool: the robots whose place in `map` is known."""
+        return self.of_robots == MAP
+
+    def when_joined(self) -> "Pieces":
+        """After smoothing."""
+        return self._replace(pairs=self.pairs[:0])
+
+    def within(self, frame: Framed) -> Framed:
+        """The frame with sightings of robots of its own piece alone."""
+        seen = frame.sightings
+        own = self.of_robots[seen.others] == self.of_robots[frame.robot]
+        if own.all():
+            return frame
+        return replace(frame, sightings=BodySightings(*(values[own] for values in seen)))
