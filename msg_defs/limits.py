@@ -10,7 +10,7 @@ from dataclasses import dataclass, is_dataclass
 from functools import cache
 from math import isfinite
 from numbers import Integral, Real
-from types import UnionType
+from types import NoneType, UnionType
 from typing import (
     Annotated,
     Any,
@@ -122,6 +122,16 @@ def find(cls: type, keys: Iterable[str | int]) -> Field | None:
     return found
 
 
+def row_or_word(kind: Any) -> tuple[int, str] | None:
+    """Length of the row and the word, where a `kind` is either: `tuple[...] | Literal["word"]`."""
+    if get_origin(kind) not in (Union, UnionType):
+        return None
+    row, word = get_args(kind)
+    if get_origin(row) is not tuple or get_origin(word) is not Literal:
+        return None
+    return len(get_args(row)), get_args(word)[0]
+
+
 def bounds_of(metadata: tuple) -> Bounds:
     """The limits among an annotation's metadata."""
     limits = {
@@ -162,19 +172,31 @@ def _fitting(kind: Any, value: Any) -> Any:
     """The value as `kind`; `ValueError` or `TypeError` where it is none."""
     if kind in _SCALARS:
         return _SCALARS[kind](value)
+    if kind is NoneType:
+        return _required(value, value is None)
     origin, arguments = get_origin(kind), get_args(kind)
     if origin is Literal:
         return _required(value, value in arguments)
     if origin is tuple:
         return _tuple(arguments, value)
     if origin in (Union, UnionType):
-        return None if value is None else _fitting(arguments[0], value)
+        return _one_of(arguments, value)
     if _is_settings(kind):
         return _required(value, isinstance(value, kind))
     if origin in (dict, Mapping):
         key_kind, value_kind = arguments
         return {_fitting(key_kind, k): _fitting(value_kind, v) for k, v in dict(value).items()}
     return value
+
+
+def _one_of(kinds: tuple, value: Any) -> Any:
+    """The value as the first of `kinds` that it fits."""
+    for kind in kinds[:-1]:
+        try:
+            return _fitting(kind, value)
+        except (TypeError, ValueError):
+            pass
+    return _fitting(kinds[-1], value)
 
 
 def _is_settings(kind: Any) -> TypeGuard[type]:
@@ -233,4 +255,7 @@ def _words(kind: Any) -> str:
     count = "" if arguments[-1] is ... else f"{len(arguments)} "
     if get_origin(arguments[0]) is tuple:
         return f"{count}rows of {_words(arguments[0])}"
+    if row_or_word(arguments[0]):
+        row, word = get_args(arguments[0])
+        return f"{count}rows of {_words(row)}, or {_words(word)}"
     return f"{count}{_PLURALS.get(arguments[0]) or _words(arguments[0])}"

@@ -12,6 +12,8 @@ with `msg_defs.types.settings`; limits come from `annotated_types`.
 import textwrap
 from collections.abc import Iterator, Mapping
 from dataclasses import is_dataclass
+from functools import reduce
+from operator import getitem
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -31,7 +33,8 @@ def from_mapping(cls: type[Settings], values: dict, source: str = "settings") ->
     try:
         return TypeAdapter(cls).validate_python(values)
     except ValidationError as error:
-        raise InputError("\n".join(_explain(cls, e, source) for e in error.errors())) from None
+        lines = dict.fromkeys(_explain(cls, e, source, values) for e in error.errors())
+        raise InputError("\n".join(lines)) from None
 
 
 def sections(text: str, source: str = "YAML") -> dict[str, dict]:
@@ -123,9 +126,14 @@ def _commented(record: Any, indent: str) -> Iterator[str]:
             yield f"{indent}{field.name}: {inline(value)}"
 
 
-def _explain(cls: type, error: Mapping[str, Any], source: str) -> str:
+def _explain(cls: type, error: Mapping[str, Any], source: str, values: Any) -> str:
     # Of an element that is missing pydantic tells the place; whoever made the row knows the row.
     place = error["loc"][:-1] if error["type"] == "missing" else error["loc"]
+    # Of a row or a word it tells what either lacks, under a name of its own.
+    either = [i for i, part in enumerate(place) if str(part).startswith(("tuple[", "literal["))]
+    place, given = place[: either[0]] if either else place, error["input"]
+    if either:
+        given = reduce(getitem, place, values)
     key = ".".join(str(part) for part in place)
     if error["type"] == "unexpected_keyword_argument":
         return f"{source}: unknown key '{key}'; remove it or correct its spelling"
@@ -133,4 +141,4 @@ def _explain(cls: type, error: Mapping[str, Any], source: str) -> str:
         return f"{source}: {error['ctx']['error']}"
     field = limits.find(cls, place)
     wanted = error["msg"] if field is None else f"give {field.wanted()}"
-    return f"{source}: {key} = {error['input']!r}; {wanted}"
+    return f"{source}: {key} = {given!r}; {wanted}"

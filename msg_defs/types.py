@@ -266,7 +266,7 @@ class Estimate:
     """
 
 
-Level = Literal["consistent", "noisier than told", "start wrong", "lost"]
+Level = Literal["consistent", "place unknown", "noisier than told", "start wrong", "lost"]
 """How what a robot sends agrees with what the filter assumes, the best first."""
 
 
@@ -292,7 +292,7 @@ class StepRecord:
     step: int
     frames: tuple[FrameRecord, ...]
     estimates: tuple[Estimate, ...]
-    """One for each robot that had a frame in this step, in the same order."""
+    """Of each robot that had a frame in this step and whose place in `map` is known, in order."""
     effective_particles: float
     """Effective sample size of the weights before resampling, 1 .. M."""
     resampled: bool

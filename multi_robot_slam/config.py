@@ -15,6 +15,7 @@ from multi_robot_slam.front_end.settings import CameraSettings
 SECTION = "multi_robot_slam"
 FOR_PICTURES = "cameras"
 """The shipped scenario whose filter is the default where observations are seen in pictures."""
+UNKNOWN = "unknown"
 MOST_ROBOTS = 32
 """A landmark keeps which robots observed it in as many bits."""
 
@@ -112,13 +113,15 @@ class Config:
 
     robots: Annotated[tuple[str, ...], "names of the team's robots"] = ("robot_1",)
     start_poses: Annotated[
-        tuple[tuple[float, float, float], ...], "x, y, yaw of each robot at the start [m, m, rad]"
+        tuple[tuple[float, float, float] | Literal["unknown"], ...],
+        "x, y, yaw of each robot at the start [m, m, rad], or unknown, for all but one: such a "
+        "robot maps by itself, and has a place in `map` once it has seen enough of what others saw",
     ] = ((0.0, 0.0, 0.0),)
     start_sigma: Annotated[
         tuple[float, float],
-        "standard deviations of the start poses [m, rad]; `map` is where the first robot is at its "
-        "own, so that its error is the others'; as well as a robot is put down by hand and by "
-        "eye, or measured with a tape: 5 cm and 2 degrees; 0, 0: known",
+        "standard deviations of the start poses [m, rad]; `map` is where the first robot with one "
+        "is at its own, so that its error is the others'; as well as a robot is put down by hand "
+        "and by eye, or measured with a tape: 5 cm and 2 degrees; 0, 0: known",
     ] = (0.05, 0.035)
     start_sigmas: Annotated[
         tuple[tuple[float, float], ...],
@@ -162,6 +165,11 @@ class Config:
                 f"start_poses: {len(self.start_poses)} poses for {count} robots; "
                 "give x, y, yaw of each"
             )
+        if not self.are_known.any():
+            raise InputError(
+                "start_poses: unknown for all robots; give x, y, yaw of one, for example "
+                "[0, 0, 0]: it says where `map` is"
+            )
         if self.mounts and len(self.mounts) != count:
             raise InputError(
                 f"mounts: {len(self.mounts)} for {count} robots; give forward, left, up, roll, "
@@ -197,7 +205,18 @@ class Config:
         """Standard deviations [m, rad] of the start pose of the robot with this index."""
         if self.start_sigmas:
             return self.start_sigmas[robot]
-        return self.start_sigma if robot else (0.0, 0.0)
+        return (0.0, 0.0) if robot == np.argmax(self.are_known) else self.start_sigma
+
+    @property
+    def are_known(self) -> np.ndarray:
+        """(K,) bool: whose start poses are."""
+        return np.array([start != UNKNOWN for start in self.start_poses])
+
+    @property
+    def starts(self) -> np.ndarray:
+        """(K, 3): the start poses; where one is unknown, the origin."""
+        nowhere = (0.0, 0.0, 0.0)
+        return np.array([nowhere if s == UNKNOWN else s for s in self.start_poses], float)
 
     def mount_of(self, robot: int) -> CameraMount:
         """Where the camera sits on the robot with this index in the team."""

@@ -1,7 +1,7 @@
 """Every field of a settings class is a ROS parameter, with its description and range."""
 
 from collections.abc import Mapping
-from math import inf
+from math import inf, nan
 from operator import attrgetter
 from typing import Any, cast, get_args, get_origin
 
@@ -29,7 +29,8 @@ def given(node: Node) -> dict[str, Any]:
 def declare(node: Node, *classes: type, section: str | None = None) -> list[Any]:
     """Declare every field of the settings `classes` as a read-only parameter; their values.
 
-    Nested settings get dotted names, a tuple of tuples becomes one flat array. With `section`, a
+    Nested settings get dotted names, a tuple of tuples becomes one flat array, in which a word
+    instead of a row is as many NaN. With `section`, a
     parameter `scenario` names a scenario (`scenario_file.find_scenario`) whose `section` supplies
     the defaults of the first class. Unknown parameters and values out of range raise `InputError`.
     """
@@ -47,7 +48,7 @@ def declare(node: Node, *classes: type, section: str | None = None) -> list[Any]
     records = [_override(default, values) for default in defaults]
     for record in records:
         for leaf in limits.leaves(type(record)):
-            value = _flat(attrgetter(leaf.name)(record))
+            value = _flat(leaf, attrgetter(leaf.name)(record))
             _declare_one(node, leaf.name, value, _describe(leaf))
     _refuse_unknown(node, values)
     return records
@@ -69,12 +70,17 @@ def _override(default: Any, values: Mapping[str, Any]) -> Any:
 def _row_size(kind: Any) -> int:
     """Length of the inner tuples of a tuple of tuples, else 0."""
     inner = get_args(kind)[:1]
+    if inner and (either := limits.row_or_word(inner[0])):
+        return either[0]
     return len(get_args(inner[0])) if inner and get_origin(inner[0]) is tuple else 0
 
 
-def _flat(value: Any) -> Any:
+def _flat(leaf: limits.Field, value: Any) -> Any:
     if not isinstance(value, tuple):
         return value
+    if either := _row_or_word(leaf):
+        size, word = either
+        value = tuple((nan,) * size if row == word else row for row in value)
     rows = [row if isinstance(row, tuple) else (row,) for row in value]
     return [element for row in rows for element in row]
 
@@ -87,7 +93,15 @@ def _unflat(leaf: limits.Field, value: Any) -> Any:
         return value
     if len(value) % size:
         raise InputError(f"parameter: {leaf.name}: {len(value)} numbers do not make rows of {size}")
-    return [value[i : i + size] for i in range(0, len(value), size)]
+    rows: list[Any] = [value[i : i + size] for i in range(0, len(value), size)]
+    if either := _row_or_word(leaf):
+        rows = [either[1] if all(x != x for x in row) else row for row in rows]
+    return rows
+
+
+def _row_or_word(leaf: limits.Field) -> tuple[int, str] | None:
+    """`limits.row_or_word` of the elements of a tuple."""
+    return limits.row_or_word(next(iter(get_args(leaf.kind)), None))
 
 
 def _declare_one(node: Node, name: str, value: Any, descriptor: ParameterDescriptor) -> None:

@@ -108,6 +108,7 @@ _STEP = "filter step"
 
 LEVELS: dict[Level, int] = {
     "consistent": OK,
+    "place unknown": WARN,
     "noisier than told": WARN,
     "start wrong": ERROR,
     "lost": ERROR,

@@ -19,7 +19,7 @@ from multi_robot_slam.monitor.in_view import InView
 from multi_robot_slam.monitor.innovations import Innovations
 from multi_robot_slam.monitor.predictions import Predictions, predict
 from multi_robot_slam.monitor.recognition import Recognition
-from multi_robot_slam.monitor.verdicts import Findings, blamed, verdict
+from multi_robot_slam.monitor.verdicts import Findings, blamed, verdict, with_place_unknown
 from multi_robot_slam.smoothing.noise_factors import NoiseFactors
 
 
@@ -84,10 +84,12 @@ class Monitor:
             self._note(frame, seen)
             self._note_created(frame.robot, own.new_ids)
         wrong = blamed(self._findings)
-        return tuple(
-            verdict(self._findings, robot, wrong, self._learnt(state, robot))
-            for robot in (frame.robot for frame in frames)
-        )
+        told = []
+        for robot in (frame.robot for frame in frames):
+            judged = verdict(self._findings, robot, wrong, self._learnt(state, robot))
+            is_placed = state.pieces.robots_in_map[robot]
+            told.append(judged if is_placed else with_place_unknown(judged))
+        return tuple(told)
 
     def _learnt(self, state: State, robot: int) -> learnt_noise.Found:
         """What smoothing found, which changes with a rejuvenation alone."""

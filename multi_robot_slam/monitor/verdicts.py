@@ -99,6 +99,20 @@ def verdict(
     return replace(told, cause=cause, remedy=remedy)
 
 
+def with_place_unknown(told: Verdict) -> Verdict:
+    """The verdict on a robot whose place in `map` is not known, unless there is worse to say."""
+    if told.level != "consistent":
+        return told
+    name = told.robot
+    return replace(
+        told,
+        level="place unknown",
+        cause=f"the place of {name} in map is not known yet: it has not seen enough of what robots "
+        "saw whose place is known",
+        remedy=f"drive {name} where they have been, or give its start pose",
+    )
+
+
 def _judged(
     team: Sequence[Findings],
     robot: int,

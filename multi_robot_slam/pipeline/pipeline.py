@@ -36,6 +36,7 @@ from multi_robot_slam.pipeline.levels import Levels
 from multi_robot_slam.pipeline.plausibility import Refusal
 from multi_robot_slam.pipeline.records import step_record
 from multi_robot_slam.pipeline.reorder import Reorder
+from multi_robot_slam.pipeline.ties import tied_in
 from multi_robot_slam.pipeline.time_guard import TimeGuard
 from multi_robot_slam.smoothing.noise_factors import NoiseFactors
 from multi_robot_slam.smoothing.odometry_scale import scaled
@@ -66,14 +67,15 @@ class Pipeline:
         """How much was lost, by reason."""
         self._warn = warn
         self._particles = ParticleFilter(
-            np.array(config.start_poses),
+            config.starts,
             config.filter,
             np.random.default_rng(config.seed),
             keeps_frames,
+            config.are_known,
         )
         self._monitor = Monitor(
             config.robots,
-            np.array(config.start_poses),
+            config.starts,
             [config.mount_of(robot) for robot in range(len(config.robots))],
             config.filter,
         )
@@ -226,6 +228,8 @@ class Pipeline:
                 self._tell_of_no_smoothing(frames[0].stamp_ns, reason)
             verdicts = self._monitor.judge(self._particles.state, frames, info, expected)
             self._levels.tell(frames[0].stamp_ns, verdicts)
+            if info.tied is not None:
+                self._warn(f"at {_time(frames[0].stamp_ns)}: {tied_in(self.config, info.tied)}")
             took_ms = (time.perf_counter() - start) * 1e3
             state = self._particles.state
             steps.append(step_record(self.config, state, frames, info, verdicts, took_ms))

@@ -21,9 +21,15 @@ def step_record(
     verdicts: tuple[Verdict, ...],
     duration_ms: float,
 ) -> StepRecord:
-    """The record of a step over `frames` that led to `state`."""
+    """The record of a step over `frames` that led to `state`.
+
+    Estimates are of the robots whose place in `map` was known before.
+    """
     best = rbpf.best_particle(state)
     before = best if info.ancestors is None else info.ancestors[best]
+    was_in_map = state.pieces.robots_in_map.copy()
+    if info.tied is not None:  # the moments are from before
+        was_in_map[list(info.tied.robots)] = False
     return StepRecord(
         stamp_ns=frames[0].stamp_ns,
         step=state.steps,
@@ -40,6 +46,7 @@ def step_record(
                 mean=wrapped(mean),
             )
             for frame, (mean, covariance) in zip(frames, info.moments, strict=True)
+            if was_in_map[frame.robot]
         ),
         effective_particles=info.effective_particles,
         resampled=info.ancestors is not None,

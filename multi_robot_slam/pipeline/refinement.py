@@ -219,7 +219,7 @@ def _smooth(
 
 def _prior(records: Sequence[Record], config: Config) -> Prior:
     """What was believed of each robot's start."""
-    prior = Prior.exact(np.array(config.start_poses))
+    prior = Prior.exact(config.starts)
     for record in records:
         if record.start is not None:
             prior = prior.starting(record.robot, record.start)

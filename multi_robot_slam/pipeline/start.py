@@ -32,8 +32,11 @@ LARGEST_VARIANCE_RAD2 = np.pi**2 / 3
 def start_of(robot: int, stamp_ns: int, odometry: Odometry, config: Config) -> Start:
     """What is believed of a robot, by its index in the team, at its first frame.
 
-    Odometry must have reached `stamp_ns`.
+    Odometry must have reached `stamp_ns`. Where nothing is known the robot is at the origin, in a
+    frame of its own.
     """
+    if not config.are_known[robot]:
+        return Start(np.zeros(3), np.zeros((3, 3)))
     pose = odometry.at(stamp_ns)
     first_ns, first = odometry.first
     is_known_at_origin = config.start_at == "odom"
@@ -44,7 +47,7 @@ def start_of(robot: int, stamp_ns: int, odometry: Odometry, config: Config) -> S
         drivers = odometry.covariance_at(stamp_ns) if is_known_at_origin else None
         if drivers is not None and _can_be(drivers, covariance):
             covariance = drivers
-    told = np.array(config.start_poses[robot])
+    told = config.starts[robot]
     return Start(*composed(told, start_covariance(robot, config), way, covariance))
 
 
@@ -52,9 +55,10 @@ def start_covariance(robot: int, config: Config) -> np.ndarray:
     """(3, 3): of the start pose that was told of the robot with this index."""
     metres, radians = config.start_sigma_of(robot)
     own = np.diag([metres**2, metres**2, radians**2])
-    if robot == 0 or config.start_sigmas:
+    first = int(np.argmax(config.are_known))
+    if robot == first or config.start_sigmas:
         return own
-    x, y, _ = np.subtract(config.start_poses[robot], config.start_poses[0])
+    x, y, _ = config.starts[robot] - config.starts[first]
     with_first = np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, 1.0]])
     return own + with_first @ own @ with_first.T
 

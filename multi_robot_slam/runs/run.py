@@ -18,10 +18,11 @@ from msg_defs.types import (
     Walls,
 )
 from msg_defs.wire import Estimates
-from multi_robot_slam.config import Config
+from multi_robot_slam.config import UNKNOWN, Config
 from multi_robot_slam.models.motion import odom_in_map
 from multi_robot_slam.runs import predictions
 from multi_robot_slam.runs.provenance import Provenance
+from multi_robot_slam.runs.trajectory_errors import at
 from multi_robot_slam.runs.views import Views
 
 TEAM = "team"
@@ -36,7 +37,7 @@ class RobotRun:
     """One robot's trajectories in `map`; one the run does not have is empty, unknown truth None."""
 
     start_pose: np.ndarray
-    """(3,) float64: x [m], y [m], yaw [rad] of its odom frame in `map`, as configured."""
+    """(3,) float64: x [m], y [m], yaw [rad] of its odom frame in `map`."""
     odometry: Trajectory
     """As recorded, in the robot's own `odom` frame."""
     online: Trajectory
@@ -131,7 +132,7 @@ def assemble(
     odometry = recording.odometry
     robots = {
         name: RobotRun(
-            start_pose=_origin(np.array(start), odometry.get(name, EMPTY), config),
+            start_pose=_origin(start, odometry.get(name, EMPTY), paths.get(name, EMPTY), config),
             odometry=odometry.get(name, EMPTY),
             online=_online(estimates[name], predicted.get(name, predictions.NONE)),
             path=paths.get(name, EMPTY),
@@ -162,11 +163,21 @@ def assemble(
     )
 
 
-def _origin(start: np.ndarray, odometry: Trajectory, config: Config) -> np.ndarray:
-    """Pose (3,) of the odometry's origin in `map`, as the configuration has it."""
+def _origin(
+    start: tuple[float, ...] | str, odometry: Trajectory, path: Trajectory, config: Config
+) -> np.ndarray:
+    """Pose (3,) of the odometry's origin in `map`, as the configuration has it.
+
+    Where that is unknown, as the `path` begins; without one it is nowhere, the origin.
+    """
+    if start == UNKNOWN:
+        if not len(path.poses) or not len(odometry.poses):
+            return np.zeros(3)
+        return odom_in_map(path.poses[0], at(odometry, path.stamps_ns[:1])[0])
+    pose = np.array(start, float)
     if config.start_at == "odom" or not len(odometry.poses):
-        return start
-    return odom_in_map(start, odometry.poses[0])
+        return pose
+    return odom_in_map(pose, odometry.poses[0])
 
 
 def _estimates(steps: Iterable[StepRecord], robot: str) -> list[Estimate]:

@@ -101,7 +101,10 @@ def test_a_class_checks_itself_after_its_fields():
         ({"filter": 3}, "filter = 3; give the settings in it by their names: particles, "),
         ({"robots": "robot_1"}, "robots = 'robot_1'; give a list of texts: "),
         ({"robots": [1]}, "robots.0 = 1; give a list of texts: "),
-        ({"start_poses": [[0, 0]]}, "start_poses.0 = [0, 0]; give a list of rows of 3 numbers: "),
+        (
+            {"start_poses": [[0, 0]]},
+            "start_poses.0 = [0, 0]; give a list of rows of 3 numbers, or unknown: ",
+        ),
         ({"seed": "many"}, "seed = 'many'; give a whole number"),
         ({"filter": {"particles": 0}}, "filter.particles = 0; give a whole number, 1 <= value"),
         ({"filter": {"gate": ".inf"}}, "filter.gate = '.inf'; give a number, 0 < value"),

@@ -113,3 +113,14 @@ def test_parameters_override_the_scenario_which_overrides_defaults(tmp_path):
 def test_scenario_that_does_not_exist_is_refused():
     with pytest.raises(InputError, match="nowhere"):
         declared("-p", "scenario:=nowhere.yaml", classes=(Config,), section=SECTION)
+
+
+def test_a_word_instead_of_a_row_is_as_many_nan():
+    poses = "start_poses:=[1.0, 2.0, 0.5, .nan, .nan, .nan]"
+    with nodes.ros("-p", "robots:=[a, b]", "-p", poses):
+        node = nodes.spin.EdgeNode("declaring")
+        (config,) = parameters.declare(node, Config)
+        assert config.start_poses == ((1.0, 2.0, 0.5), "unknown")
+        said = list(node.get_parameter("start_poses").value)
+        assert said[:3] == [1.0, 2.0, 0.5]
+        assert [x != x for x in said] == [False] * 3 + [True] * 3

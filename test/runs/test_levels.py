@@ -41,4 +41,5 @@ def test_a_robot_of_which_nothing_was_said_has_no_level():
 
 
 def test_levels_are_in_order():
-    assert levels.ORDER == ["consistent", "noisier than told", "start wrong", "lost"]
+    expected = ["consistent", "place unknown", "noisier than told", "start wrong", "lost"]
+    assert expected == levels.ORDER
