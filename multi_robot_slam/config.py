@@ -1,7 +1,7 @@
 """The estimate's configuration: one record of all modules' settings."""
 
 from dataclasses import field
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt
@@ -15,7 +15,8 @@ from multi_robot_slam.front_end.settings import CameraSettings
 SECTION = "multi_robot_slam"
 FOR_PICTURES = "cameras"
 """The shipped scenario whose filter is the default where observations are seen in pictures."""
-UNKNOWN = "unknown"
+UNKNOWN: Final = "unknown"
+StartPose = tuple[float, float, float] | Literal["unknown"]
 MOST_ROBOTS = 32
 """A landmark keeps which robots observed it in as many bits."""
 
@@ -113,7 +114,7 @@ class Config:
 
     robots: Annotated[tuple[str, ...], "names of the team's robots"] = ("robot_1",)
     start_poses: Annotated[
-        tuple[tuple[float, float, float] | Literal["unknown"], ...],
+        tuple[StartPose, ...],
         "x, y, yaw of each robot at the start [m, m, rad], or unknown, for all but one: such a "
         "robot maps by itself, and has a place in `map` once it has seen enough of what others saw",
     ] = ((0.0, 0.0, 0.0),)

@@ -115,13 +115,15 @@ def vote(ours: Points, theirs: Points, alike: np.ndarray) -> Vote | None:
     if found is None:
         return None
     pose, covariance, agree = found
-    explained = distances(ours, theirs, pairs.rows, pose, covariance) <= IN_SPACE
-    other, _ = _best(ours, theirs, pairs.of(~explained))
-    things = count_things(ours.places[agree[:, 0]])
-    runner_up = 2 if other is None else max(2, count_things(ours.places[other[2][:, 0]]))
-    p = _by_chance(ours, theirs, pose, covariance, agree)
-    chance = proposed * _tail(things - runner_up, len(alike) - 2, p)
+    things, runner_up, chance = count_things(ours.places[agree[:, 0]]), 2, float(proposed)
     middle = theirs.places[agree[:, 1], :2].mean(axis=0)
+    if things > runner_up:
+        explained = distances(ours, theirs, pairs.rows, pose, covariance) <= IN_SPACE
+        other, _ = _best(ours, theirs, pairs.of(~explained))
+        if other is not None:
+            runner_up = max(runner_up, count_things(ours.places[other[2][:, 0]]))
+        p = _by_chance(ours, theirs, pose, covariance, agree)
+        chance *= _tail(things - runner_up, len(alike) - 2, p)
     return Vote(pose, covariance, agree, things, runner_up, middle, chance)
 
 

@@ -18,7 +18,7 @@ from msg_defs.types import (
     Walls,
 )
 from msg_defs.wire import Estimates
-from multi_robot_slam.config import UNKNOWN, Config
+from multi_robot_slam.config import UNKNOWN, Config, StartPose
 from multi_robot_slam.models.motion import odom_in_map
 from multi_robot_slam.runs import predictions
 from multi_robot_slam.runs.provenance import Provenance
@@ -163,9 +163,7 @@ def assemble(
     )
 
 
-def _origin(
-    start: tuple[float, ...] | str, odometry: Trajectory, path: Trajectory, config: Config
-) -> np.ndarray:
+def _origin(start: StartPose, odometry: Trajectory, path: Trajectory, config: Config) -> np.ndarray:
     """Pose (3,) of the odometry's origin in `map`, as the configuration has it.
 
     Where that is unknown, as the `path` begins; without one it is nowhere, the origin.

@@ -12,7 +12,7 @@ import numpy as np
 
 from msg_defs.types import Event, LandmarkMap, ObservationSet, PoseSample, Trajectory
 from multi_robot_slam import runs
-from multi_robot_slam.config import Config
+from multi_robot_slam.config import UNKNOWN, Config, StartPose
 from multi_robot_slam.models.motion import MotionSettings, increment
 from multi_robot_slam.runs.trajectory_errors import at, wrap
 from sim_world import stereo
@@ -115,6 +115,25 @@ def starts_swapped(told: Told, rng: np.random.Generator) -> Told:
     starts[one], starts[other] = starts[other], starts[one]
     config = replace(told.config, start_poses=_tuples(starts))
     return replace(told, config=config, culprits=(told.names[one], told.names[other]))
+
+
+def one_start_unknown(told: Told, rng: np.random.Generator) -> Told:
+    """Of one robot nobody says where it starts."""
+    return _unknown(told, (_anyone(told, rng),))
+
+
+def one_start_known(told: Told, rng: np.random.Generator) -> Told:
+    """Of one robot alone it is said where it starts."""
+    known = _anyone(told, rng)
+    return _unknown(told, tuple(name for name in told.names if name != known))
+
+
+def _unknown(told: Told, names: tuple[str, ...]) -> Told:
+    """The start poses of the robots `names` are unknown."""
+    starts = zip(told.names, told.config.start_poses, strict=True)
+    known: list[StartPose] = [UNKNOWN if name in names else start for name, start in starts]
+    config = replace(told.config, start_poses=tuple(known))
+    return replace(told, config=config, culprits=names)
 
 
 def odometry_noise(factor: float, is_told: bool = False) -> Change:

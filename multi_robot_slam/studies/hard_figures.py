@@ -21,6 +21,10 @@ LATER_S = 10.0
 """So long after a difference can be noticed, poses are good again, or it has been said."""
 KNOWN_LANDMARKS = 2
 """Landmarks known before that a frame must see to be one that can tell where a robot is."""
+IN_COMMON = 8
+"""Landmarks that two pieces must have in common to be tied soon."""
+PLACED_M = 1.0
+"""A robot whose place becomes known is no further from it."""
 STILL_THERE_M = 0.5
 """A landmark of the map that is so near to where a true one was before it moved is an old place."""
 
@@ -68,7 +72,12 @@ def row(name: str, outcome: Outcome, exact: Outcome) -> Row:
     """The figures of a run in the world `name`; `exact` is that of its team in the exact world."""
     told, run = outcome.told, outcome.run
     own, reference = published(run), published(exact.run)
-    known_ns = first_meeting(told) if told.known_ns is None else told.known_ns
+    is_tied = WORLDS[name].judged == "tied"
+    known_ns = told.known_ns
+    if known_ns is None:
+        known_ns = all_in_common(told) if is_tied else first_meeting(told)
+    if is_tied:
+        reference = {robot: reference[robot].since(own[robot].stamps_ns[0]) for robot in own}
     later_ns = known_ns + int(LATER_S * 1e9)
     others = [robot for robot in told.names if robot not in told.culprits]
     figures, exact_figures = runs.evaluate(run), runs.evaluate(exact.run)
@@ -79,9 +88,12 @@ def row(name: str, outcome: Outcome, exact: Outcome) -> Row:
         "aligned": aligned(own),
         "later": later,
         "later, aligned": aligned(later),
+        "tied": own,
     }[WORLDS[name].judged]
     noticed = said(run, told.begins_ns)
     noticed_ns = min((stamp for stamp, _, _ in noticed), default=None)
+    if is_tied:
+        noticed_ns = all_placed(own, told)
     own_optimum, exact_optimum = (
         (None, None)
         if outcome.optimum is None
@@ -182,6 +194,41 @@ def first_meeting(told: Told) -> int:
                 return stamp
             seen_by[landmark].add(robot)
     return told.end_ns
+
+
+def all_in_common(told: Told) -> int:
+    """When each culprit had eight landmarks in common with robots tied by these before it [ns].
+
+    Robots that are not culprits are together to begin with.
+    """
+    truth = told.recorded.observation_truth
+    seen: dict[str, set[int]] = {name: set() for name in told.names}
+    groups = {name: {name} if name in told.culprits else set() for name in told.names}
+    placed = set(told.names) - set(told.culprits)
+    for name in placed:
+        groups[name] = placed
+    for stamp, robot in sorted((stamp, robot) for robot, stamp in truth):
+        seen[robot] |= set(truth[robot, stamp].tolist())
+        for other in told.names:
+            if other not in groups[robot] and _have_in_common(seen, groups[robot], groups[other]):
+                together = groups[robot] | groups[other]
+                groups |= dict.fromkeys(together, together)
+        if len(groups[robot]) == len(told.names):
+            return stamp
+    return told.end_ns
+
+
+def _have_in_common(seen: Mapping[str, set[int]], one: set[str], other: set[str]) -> bool:
+    ours, theirs = (set().union(*(seen[name] for name in group)) for group in (one, other))
+    return len(ours & theirs) >= IN_COMMON
+
+
+def all_placed(team: Team, told: Told) -> int | None:
+    """When the last culprit was published first [ns]; None if one never was, or elsewhere."""
+    culprits = [team.get(name) for name in told.culprits]
+    if any(own is None or np.hypot(*own.errors[0, :2]) > PLACED_M for own in culprits):
+        return None
+    return int(max(own.stamps_ns[0] for own in culprits if own is not None))
 
 
 def said(run: runs.Run, since_ns: int) -> list[tuple[int, str, str]]:

@@ -59,7 +59,10 @@ class Row:
     known_s: float
     """When the difference could be noticed; from the start of the run."""
     noticed_s: float | None
-    """How long after that something was said; 0 if before, None if never."""
+    """How long after that something was said; 0 if before, None if never.
+
+    Where starts are unknown, when the last robot's place was, and rightly so.
+    """
     noticed_frames: int | None
     """Frames that saw known landmarks until then."""
     false_alarm: int
@@ -113,6 +116,7 @@ class Target:
     ratio: float | None = None
     or_noticed: bool = False
     """A greater ratio will do where every run with one is noticed."""
+    noticed: bool = False
     few_frames: bool = False
     others: float | None = None
     nees: bool = False
@@ -137,6 +141,8 @@ TARGETS = {
     "first-far-told": Target(ratio=1.3, nees=True),
     "start-far": Target(ratio=1.3, or_noticed=True),
     "swapped": Target(ratio=1.3, or_noticed=True),
+    "unknown-one": Target(ratio=1.3, noticed=True, nees=True),
+    "unknown-all-but-one": Target(ratio=1.3, noticed=True, nees=True),
     "odometry-3": Target(ratio=1.2, factor=True),
     "odometry-3-told": Target(),
     "odometry-third": Target(ratio=1.2, factor=True),
@@ -192,6 +198,7 @@ def judged(row: Row) -> Pair:
         "published": (row.published_m, row.exact_published_m),
         "aligned": (row.aligned_m, row.exact_aligned_m),
         "later": (row.later_m, row.exact_later_m),
+        "tied": (row.published_m, row.exact_published_m),
         "later, aligned": (row.later_aligned_m, row.exact_later_aligned_m),
     }[WORLDS[row.world].judged]
 
@@ -219,6 +226,7 @@ def unmet(rows: Sequence[Row]) -> list[str]:
         "map": is_above(target.map_ratio, lambda row: (row.map_m, row.exact_map_m)),
         "NEES": target.nees and is_outside([row.nees for row in rows]),
         "landmark NEES": target.landmark_nees and is_outside([row.landmark_nees for row in rows]),
+        "not noticed": target.noticed and not all(row.is_noticed for row in rows),
         "frames": target.few_frames
         and any(r.noticed_frames is None or r.noticed_frames > FEW_FRAMES for r in rows),
         "factor": target.factor and not _is_at_most(FACTOR, _mean(row.factor_off for row in rows)),

@@ -24,7 +24,7 @@ NEAR, FAR = (0.05, 2.0), (0.3, 10.0)
 FAR_SIGMA = (0.3, 0.175)
 """The same as it is told [m, rad]."""
 
-Judged = Literal["published", "aligned", "later", "later, aligned"]
+Judged = Literal["published", "aligned", "later", "later, aligned", "tied"]
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class World:
     judged: Judged = "published"
     """All poses as published; after the team was aligned; from 10 s after the difference can be
     noticed on; or these, aligned: a fusion that has not seen the robots start cannot know better
-    than their odometry where the whole team is."""
+    than their odometry where the whole team is; or each robot's since its place is known."""
     has_optimum: bool = False
     """Also compared with the filtering optimum."""
 
@@ -53,6 +53,8 @@ WORLDS: dict[str, World] = {
     "first-far-told": World(changes.start_off(0, *FAR, FAR_SIGMA), judged="aligned"),
     "start-far": World(changes.start_off(1, *FAR), judged="later"),
     "swapped": World(changes.starts_swapped, judged="later, aligned"),
+    "unknown-one": World(changes.one_start_unknown, judged="tied"),
+    "unknown-all-but-one": World(changes.one_start_known, judged="tied"),
     "odometry-3": World(changes.odometry_noise(3.0)),
     "odometry-3-told": World(changes.odometry_noise(3.0, is_told=True)),
     "odometry-third": World(changes.odometry_noise(1 / 3)),

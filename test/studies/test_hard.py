@@ -195,6 +195,16 @@ def test_one_start_is_off_as_far_as_it_says(worlds, name, robot, distance_m, deg
     assert told.culprits == (told.names[robot],)
 
 
+def test_of_one_robot_or_of_all_but_one_the_start_is_unknown(base):
+    told = hard_worlds.simulated(base, EXACT, 3, SEED)
+    for name, count in (("unknown-one", 1), ("unknown-all-but-one", 2)):
+        own = hard_worlds.changed(name, told)
+        assert not own.config.are_known[[own.names.index(one) for one in own.culprits]].any()
+        assert len(own.culprits) == 3 - own.config.are_known.sum() == count
+        assert replace(own.config, start_poses=told.config.start_poses) == told.config
+        assert own.events == told.events
+
+
 def test_swapped_robots_start_where_the_other_is_said_to(worlds):
     told, exact = worlds("swapped"), worlds(EXACT)
     assert told.config.start_poses == pytest.approx(np.array(exact.config.start_poses)[::-1])
@@ -422,6 +432,7 @@ def test_what_is_judged_depends_on_the_world():
     assert replace(row, world="first-near").ratio == 2.5
     assert replace(row, world="robot-late").ratio == 3.0
     assert replace(row, world="fusion-late").ratio == 1.5
+    assert replace(row, world="unknown-one").ratio == 9.0
 
 
 def test_a_wrong_run_is_silent_unless_it_is_said_within_10_s():
@@ -456,6 +467,8 @@ def test_a_wrong_run_is_silent_unless_it_is_said_within_10_s():
         ("landmarks-moved", {"old_places": 1}, ["old places"]),
         ("short-sight", {"published_m": 1.15}, ["optimum"]),
         ("short-sight", {"published_m": 1.15, "optimum_m": 1.1}, []),
+        ("unknown-one", {"noticed_s": 9.0}, []),
+        ("unknown-one", {}, ["not noticed"]),
         (EXACT, {"said": "robot_1 lost 3.0"}, ["false alarm"]),
         ("silent", {"false_alarm": 1}, ["false alarm"]),
     ],
@@ -526,6 +539,37 @@ def test_a_meeting_is_when_a_culprit_and_another_have_seen_one_landmark():
     assert hard_figures.first_meeting(told) == 4
     told.culprits = ("d",)
     assert hard_figures.first_meeting(told) == 9
+
+
+def test_all_have_eight_landmarks_in_common_with_those_tied_in_before_them():
+    truth = {
+        ("a", 1): np.arange(8),
+        ("b", 2): np.arange(20, 30),
+        ("c", 3): np.arange(1, 8),
+        ("c", 4): np.arange(22, 30),
+        ("b", 5): np.arange(1),
+        ("c", 6): np.arange(1),
+    }
+    recorded = SimpleNamespace(observation_truth=truth)
+    told = SimpleNamespace(recorded=recorded, names=("a", "b", "c"), culprits=("b", "c"), end_ns=9)
+    assert hard_figures.all_in_common(told) == 5  # b and c at 4, of which b has the eighth of a
+    told.culprits = ("b",)
+    assert hard_figures.all_in_common(told) == 4
+    del truth["c", 4]
+    assert hard_figures.all_in_common(told) == 9
+
+
+def test_a_robot_is_placed_when_it_is_published_where_it_is():
+    def first(stamp, x):
+        poses, none = np.array([[x, 0, 0]]), np.zeros((1, 3, 3))
+        return hard_figures.Published(np.array([stamp]), poses, none, np.zeros((1, 3)))
+
+    told = SimpleNamespace(culprits=("b", "c"))
+    team = {"a": first(1, 9.0), "b": first(3, 0.9), "c": first(2, 0.0)}
+    assert hard_figures.all_placed(team, told) == 3
+    assert hard_figures.all_placed(team | {"c": first(2, 1.1)}, told) is None
+    del team["c"]
+    assert hard_figures.all_placed(team, told) is None
 
 
 def test_frames_that_can_tell_see_two_landmarks_seen_before_the_difference():
