@@ -2,7 +2,8 @@
 
 Of A pairs that look alike nearly all may be wrong. Each two of them at equal distances in both
 pieces propose a pose, and of each pose it is asked how many more pairs agree. By chance a pair does
-with probability p, so that of H poses the best has k more with probability at most
+with probability p, counted over all pairs of landmarks that do not agree, so that of H poses the
+best has k more with probability at most
 
     H P(Bin(A - 2, p) >= k)                                                                   (Q1)
 
@@ -28,10 +29,6 @@ exploring that have nothing in common."""
 
 IN_HEIGHT, IN_PLANE, IN_SPACE = 6.635, 9.210, 11.345
 """99 % quantiles of chi2 with one, two and three degrees of freedom."""
-
-WIDER = 3.0
-"""For p, chance agreement is counted within so many times the gate's distance and divided by it:
-exact where landmarks lie along a line, as on walls, and more than p elsewhere."""
 
 MOST_PAIRS = 300
 """Pairs that are used; those that are more alike come first."""
@@ -123,7 +120,8 @@ def vote(ours: Points, theirs: Points, alike: np.ndarray) -> Vote | None:
         if other is not None:
             runner_up = max(runner_up, count_things(ours.places[other[2][:, 0]]))
         p = _by_chance(ours, theirs, pose, covariance, agree)
-        chance *= _tail(things - runner_up, len(alike) - 2, p)
+        others = proposed - len(agree) * (len(agree) - 1) // 2
+        chance = (1 + max(others, 0)) * _tail(things - runner_up, len(alike) - 2, p)
     return Vote(pose, covariance, agree, things, runner_up, middle, chance)
 
 
@@ -302,12 +300,9 @@ def _by_chance(
     variances += covariance[0, 0] + covariance[1, 1] + covariance[2, 2] * np.sum(near**2, axis=1)
     width = len(theirs.places)
     is_pair = np.isin(rows @ [width, 1], agree @ [width, 1])
-    close = rows[~is_pair & (squared <= WIDER**2 * IN_SPACE * variances)]
-    count = 0
-    if len(close):
-        squared = distances(ours, theirs, close, pose, covariance)
-        count = int(np.count_nonzero(squared <= WIDER**2 * IN_SPACE))
-    return min(1.0, (1 + count) / (WIDER * (1 + np.count_nonzero(~is_pair))))
+    close = rows[~is_pair & (squared <= IN_SPACE * variances)]
+    squared = distances(ours, theirs, close, pose, covariance)
+    return (1 + np.count_nonzero(squared <= IN_SPACE)) / (1 + np.count_nonzero(~is_pair))
 
 
 def spread(count: int) -> np.ndarray:
