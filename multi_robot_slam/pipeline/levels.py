@@ -29,5 +29,5 @@ class Levels:
 
 def _told(verdict: Verdict) -> str:
     if verdict.level == "consistent":
-        return "consistent again"
+        return "consistent from now on"
     return f"{verdict.level}: {verdict.cause}. Remedy: {verdict.remedy}"

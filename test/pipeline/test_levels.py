@@ -13,5 +13,5 @@ def test_a_level_is_told_when_it_changes_and_when_it_ends():
         levels.tell(stamp * 10**9, verdicts)
     assert told == [
         "robot_2 at 2.000 s: lost: slipped. Remedy: start anew",
-        "robot_2 at 4.000 s: consistent again",
+        "robot_2 at 4.000 s: consistent from now on",
     ]
