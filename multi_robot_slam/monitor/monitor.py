@@ -29,7 +29,7 @@ class Monitor:
     Parameters
     ----------
     names : of the robots.
-    start_poses : (K, 3) as configured: x, y [m], yaw [rad] in `map`.
+    start_poses : of each (3,) as configured: x, y [m], yaw [rad] in `map`; None: unknown.
     cameras : where the camera of each sits.
 
     """
@@ -37,7 +37,7 @@ class Monitor:
     def __init__(
         self,
         names: Sequence[str],
-        start_poses: np.ndarray,
+        start_poses: Sequence[np.ndarray | None],
         cameras: Sequence[CameraMount],
         settings: FilterSettings,
     ) -> None:

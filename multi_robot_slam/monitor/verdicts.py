@@ -24,8 +24,8 @@ class Findings(NamedTuple):
     """All that is held for and against one robot."""
 
     name: str
-    start: np.ndarray
-    """(3,) its start pose as configured."""
+    start: np.ndarray | None
+    """(3,) its start pose as configured; None: unknown."""
     innovations: Innovations
     in_view: InView
     recognised: list[Recognition]
@@ -130,8 +130,8 @@ def _judged(
     if robot in wrong:
         other, since_start = wrong[robot]
         offset = _offset(team, robot, other)
-        if since_start:
-            return _start_wrong(own, team[other].name, offset, numbers)
+        if since_start and own.start is not None:
+            return _start_wrong(own, own.start, team[other].name, offset, numbers)
         return _lost(own, offset, team[other].name, numbers)
     if learnt.is_wrong:
         return Verdict(own.name, "noisier than told", learnt.cause, learnt.remedy, numbers)
@@ -186,13 +186,13 @@ def _moved(offset: Alignment, pose: np.ndarray) -> np.ndarray:
 
 
 def _start_wrong(
-    own: Findings, other: str, offset: Alignment, numbers: dict[str, float]
+    own: Findings, start: np.ndarray, other: str, offset: Alignment, numbers: dict[str, float]
 ) -> Verdict:
     name = own.name
-    x, y, yaw = _moved(offset, own.start)
-    off, turn = np.hypot(x - own.start[0], y - own.start[1]), abs(wrap(yaw - own.start[2]))
+    x, y, yaw = _moved(offset, start)
+    off, turn = np.hypot(x - start[0], y - start[1]), abs(wrap(yaw - start[2]))
     cause = (
-        f"the start of {name} is off by {_how_far(offset, own.start)} relative to the map of "
+        f"the start of {name} is off by {_how_far(offset, start)} relative to the map of "
         f"{other}: {offset.inliers} of {offset.pairs} landmarks agree on that"
     )
     remedy = (

@@ -75,7 +75,10 @@ class Pipeline:
         )
         self._monitor = Monitor(
             config.robots,
-            config.starts,
+            [
+                start if is_known else None
+                for start, is_known in zip(config.starts, config.are_known, strict=True)
+            ],
             [config.mount_of(robot) for robot in range(len(config.robots))],
             config.filter,
         )

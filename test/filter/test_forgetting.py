@@ -47,6 +47,14 @@ def test_of_too_many_the_best_of_each_place_stay(most):
     assert max(rank(n) for n in np.flatnonzero(~gone)) <= min(rank(n) for n in np.flatnonzero(gone))
 
 
+def test_the_places_of_two_pieces_have_nothing_to_do_with_each_other():
+    ids, places = np.arange(4), np.ones((4, 3))
+    counts, pieces = np.array([9, 8, 3, 2]), np.array([0, 0, 1, 1])
+    settings = RejuvenationSettings(landmarks=2)
+    assert forgotten(ids, places, counts, settings).tolist() == [2, 3]
+    assert forgotten(ids, places, counts, settings, pieces).tolist() == [1, 3]
+
+
 def test_chance_finds_are_old_and_were_seen_once():
     records = [replace_robot(robot) for _ in range(PATIENCE + 2) for robot in (0, 1)]
     identities = [np.array([p, 1000, 500]) for p in range(len(records))]

@@ -10,7 +10,13 @@ from multi_robot_slam.monitor.in_view import InView
 from multi_robot_slam.monitor.innovations import Innovations
 from multi_robot_slam.monitor.learnt_noise import Found
 from multi_robot_slam.monitor.recognition import Recognition
-from multi_robot_slam.monitor.verdicts import MET, Findings, blamed, verdict
+from multi_robot_slam.monitor.verdicts import (
+    MET,
+    Findings,
+    blamed,
+    verdict,
+    with_place_unknown,
+)
 
 NOTHING = Found("", "", False, {}, 1.0)
 NOISY = Found("of robot_2 odometry is 3.0 times as noisy as told", "raise it", True, {}, 3.0)
@@ -64,6 +70,20 @@ def test_the_start_is_corrected_by_what_is_seen():
     assert "off by 1.57 m and 90.0 degrees relative to the map of robot_1: 9 of 10" in told.cause
     assert "[0.30, 1.40, 1.571]" in told.remedy
     assert told.numbers["offset yaw [rad]"] == np.pi / 2
+
+
+def test_a_start_that_nobody_told_cannot_be_wrong():
+    robots = team(2, [(1, 0)])
+    robots[1] = robots[1]._replace(start=None)
+    assert level(robots, 1).level == "lost"
+
+
+def test_a_place_that_is_not_known_is_told_where_nothing_is_worse():
+    told = with_place_unknown(level(team(2), 1))
+    assert (told.level, told.numbers) == ("place unknown", level(team(2), 1).numbers)
+    assert "place of robot_2 in map is not known yet" in told.cause
+    lost = level(team(2, [(1, 1)]), 1)
+    assert with_place_unknown(lost) == lost
 
 
 def test_what_the_other_sees_is_turned_round():

@@ -72,6 +72,9 @@ def test_what_is_said_of_it(told, ran):
     levels = [v.level for s in ran.steps for v in s.verdicts if v.robot == second]
     assert levels[0] == "place unknown"
     assert levels[-1] == "consistent"
+    assert set(levels) == {"place unknown", "consistent"}
+    first = {v.level for s in ran.steps for v in s.verdicts if v.robot != second}
+    assert first == {"consistent"}
     assert "drive robot_2 where they have been" in ran.lines[0]
     (tied,) = [line for line in ran.lines if "is known from now on" in line]
     assert "landmarks of" in tied
