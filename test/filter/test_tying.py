@@ -9,7 +9,7 @@ import worlds
 from multi_robot_slam.filter import rejuvenation, snapshot, tying
 from multi_robot_slam.filter.pieces import Pieces
 from multi_robot_slam.filter.running import ParticleFilter
-from multi_robot_slam.filter.settings import RejuvenationSettings
+from multi_robot_slam.filter.settings import NO_REJUVENATION, RejuvenationSettings
 from multi_robot_slam.filter.vote import Vote
 from multi_robot_slam.models.frames import BodySightings, Start
 from multi_robot_slam.models.motion import increment, wrap
@@ -336,6 +336,18 @@ def test_robots_of_unknown_starts_are_tied_in(seed, unknown):
         assert np.abs(wrap(error[2])) < 0.1
     count, expected = (len(p.state.landmarks.of_particle(0)[0]) for p in (particles, known))
     assert count < 1.3 * expected
+
+
+@pytest.mark.parametrize("proposal", ["motion", "informed"])
+def test_without_rejuvenation_robots_are_tied_in_as_well(proposal):
+    """Each particle then keeps the pose that it drew, and the weights choose."""
+    own = settings(400, rejuvenation=NO_REJUVENATION, proposal=proposal)
+    particles, ties = run(drive(60, 0, 3, unknown=(1, 2)), own, 3, (1, 2))
+    assert [tie.is_in_map for tie in ties] == [False, True]
+    known, _ = run(drive(60, 0, 3, unknown=()), own, 3, ())
+    error = particles.state.poses.mean(axis=2) - known.state.poses.mean(axis=2)
+    assert np.abs(error[:, :2]).max() < 0.3
+    assert np.abs(wrap(error[:, 2])).max() < 0.1
 
 
 @pytest.mark.parametrize("delay_s", [0.0, 2.0])
