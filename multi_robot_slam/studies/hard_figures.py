@@ -85,7 +85,6 @@ def row(name: str, outcome: Outcome, exact: Outcome) -> Row:
     exact_later = {robot: one.since(later_ns) for robot, one in reference.items()}
     judged = {
         "published": own,
-        "aligned": aligned(own),
         "later": later,
         "later, aligned": aligned(later),
         "tied": own,

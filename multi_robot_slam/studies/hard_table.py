@@ -196,7 +196,6 @@ def judged(row: Row) -> Pair:
     """What is judged of a run, and of the exact world's [m]."""
     return {
         "published": (row.published_m, row.exact_published_m),
-        "aligned": (row.aligned_m, row.exact_aligned_m),
         "later": (row.later_m, row.exact_later_m),
         "tied": (row.published_m, row.exact_published_m),
         "later, aligned": (row.later_aligned_m, row.exact_later_aligned_m),

@@ -24,7 +24,7 @@ NEAR, FAR = (0.05, 2.0), (0.3, 10.0)
 FAR_SIGMA = (0.3, 0.175)
 """The same as it is told [m, rad]."""
 
-Judged = Literal["published", "aligned", "later", "later, aligned", "tied"]
+Judged = Literal["published", "later", "later, aligned", "tied"]
 
 
 @dataclass(frozen=True)
@@ -37,9 +37,9 @@ class World:
     rounds: int = 1
     """Of the tour: runs in which something happens after a minute are longer."""
     judged: Judged = "published"
-    """All poses as published; after the team was aligned; from 10 s after the difference can be
-    noticed on; or these, aligned: a fusion that has not seen the robots start cannot know better
-    than their odometry where the whole team is; or each robot's since its place is known."""
+    """All poses as published; from 10 s after the difference can be noticed on, since before that a
+    start is what it was told to be; these after the team was aligned as one, where nothing that is
+    seen tells where `map` is; or each robot's since its place is known."""
     has_optimum: bool = False
     """Also compared with the filtering optimum."""
 
@@ -47,10 +47,10 @@ class World:
 WORLDS: dict[str, World] = {
     EXACT: World(),
     EXACT_CERTAIN: World(changes.certain),
-    "start-near": World(changes.start_off(1, *NEAR)),
-    "start-far-told": World(changes.start_off(1, *FAR, FAR_SIGMA)),
-    "first-near": World(changes.start_off(0, *NEAR), judged="aligned"),
-    "first-far-told": World(changes.start_off(0, *FAR, FAR_SIGMA), judged="aligned"),
+    "start-near": World(changes.start_off(1, *NEAR), judged="later"),
+    "start-far-told": World(changes.start_off(1, *FAR, FAR_SIGMA), judged="later"),
+    "first-near": World(changes.start_off(0, *NEAR), judged="later, aligned"),
+    "first-far-told": World(changes.start_off(0, *FAR, FAR_SIGMA), judged="later, aligned"),
     "start-far": World(changes.start_off(1, *FAR), judged="later"),
     "swapped": World(changes.starts_swapped, judged="later, aligned"),
     "unknown-one": World(changes.one_start_unknown, judged="tied"),
