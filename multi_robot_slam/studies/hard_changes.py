@@ -20,6 +20,7 @@ from sim_world.robot import MIN_DEPTH_M, START_NS
 from sim_world.scenario import Scenario
 
 MOVED_LANDMARKS, MOVED_M, MOVED_AFTER_S = 30, 1.0, 60.0
+BAY_M, COPIES = 1.2, 3
 SLIP_S = 1.0
 """A slip takes so long: in one sample it would be no motion of any robot, and refused."""
 NEAREST_M = 0.5
@@ -126,6 +127,54 @@ def one_start_known(told: Told, rng: np.random.Generator) -> Told:
     """Of one robot alone it is said where it starts."""
     known = _anyone(told, rng)
     return _unknown(told, tuple(name for name in told.names if name != known))
+
+
+def walls_thrice(told: Told, rng: np.random.Generator) -> Told:
+    """Each bay of a wall, 1.2 m wide, is there three times, with all that is on it."""
+    landmarks = _repeated(told, rng)
+    old, new = (one.positions.astype(float) for one in (told.landmarks, landmarks))
+
+    def again(seen: ObservationSet, rows: np.ndarray) -> ObservationSet:
+        by = _in_camera(told, seen, new[rows]) - _in_camera(told, seen, old[rows])
+        looks = landmarks.descriptors[rows] - told.landmarks.descriptors[rows]
+        moved = _at_points(told, seen, seen.positions + by)
+        return replace(moved, descriptors=seen.descriptors + looks)
+
+    result = _seen(told, again)
+    return replace(result, recorded=replace(result.recorded, true_landmarks=landmarks))
+
+
+def _repeated(told: Told, rng: np.random.Generator) -> LandmarkMap:
+    """The true landmarks, of whose bays with as many each two become copies of a third."""
+    assert told.recorded.walls is not None
+    segments, places = told.recorded.walls.segments, told.landmarks.positions.astype(float)
+    begins, along = segments[:, :2], segments[:, 2:] - segments[:, :2]
+    lengths = np.hypot(*along.T)
+    along /= lengths[:, None]
+    apart = places[:, None, :2] - begins
+    ways = np.clip(np.einsum("nwi,wi->nw", apart, along), 0, lengths)
+    walls = np.linalg.norm(apart - ways[:, :, None] * along, axis=2).argmin(axis=1)
+    way = ways[np.arange(len(places)), walls]
+    bays: dict[tuple[int, int], list[int]] = {}
+    for row, bay in enumerate(
+        zip(walls.tolist(), (way // BAY_M).astype(int).tolist(), strict=True)
+    ):
+        bays.setdefault(bay, []).append(row)
+    of_size: dict[int, list[tuple[int, int]]] = {}
+    for bay, rows in bays.items():
+        of_size.setdefault(len(rows), []).append(bay)
+    descriptors = told.landmarks.descriptors.copy()
+    for alike in of_size.values():
+        order = rng.permutation(len(alike))
+        for first, *copies in (order[i : i + COPIES] for i in range(0, len(order), COPIES)):
+            originals = bays[alike[first]]
+            for wall, number in (alike[copy] for copy in copies):
+                rows = bays[wall, number]
+                within = way[originals] % BAY_M + number * BAY_M
+                places[rows, :2] = begins[wall] + within[:, None] * along[wall]
+                places[rows, 2] = told.landmarks.positions[originals, 2]
+                descriptors[rows] = descriptors[originals]
+    return replace(told.landmarks, positions=places.astype(np.float32), descriptors=descriptors)
 
 
 def _unknown(told: Told, names: tuple[str, ...]) -> Told:

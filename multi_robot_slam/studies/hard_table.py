@@ -142,6 +142,7 @@ TARGETS = {
     "start-far": Target(ratio=1.3, or_noticed=True),
     "swapped": Target(ratio=1.3, or_noticed=True),
     "unknown-one": Target(ratio=1.3, noticed=True, nees=True),
+    "unknown-one-copies": Target(ratio=1.3),
     "unknown-all-but-one": Target(ratio=1.3, noticed=True, nees=True),
     "odometry-3": Target(ratio=1.2, factor=True),
     "odometry-3-told": Target(),

@@ -54,6 +54,9 @@ WORLDS: dict[str, World] = {
     "start-far": World(changes.start_off(1, *FAR), judged="later"),
     "swapped": World(changes.starts_swapped, judged="later, aligned"),
     "unknown-one": World(changes.one_start_unknown, judged="tied"),
+    "unknown-one-copies": World(
+        changes.in_turn(changes.walls_thrice, changes.one_start_unknown), judged="tied"
+    ),
     "unknown-all-but-one": World(changes.one_start_known, judged="tied"),
     "odometry-3": World(changes.odometry_noise(3.0)),
     "odometry-3-told": World(changes.odometry_noise(3.0, is_told=True)),

@@ -195,6 +195,37 @@ def test_one_start_is_off_as_far_as_it_says(worlds, name, robot, distance_m, deg
     assert told.culprits == (told.names[robot],)
 
 
+def test_every_bay_of_a_wall_is_there_three_times(worlds):
+    told, exact = worlds("unknown-one-copies"), worlds(EXACT)
+    places, looks = told.landmarks.positions, told.landmarks.descriptors
+    kinds, counts = np.unique(looks, axis=0, return_inverse=True, return_counts=True)[1:]
+    assert (counts[kinds] == 3).mean() > 0.9
+    assert counts.max() == 3
+    shift = np.linalg.norm(places - exact.landmarks.positions, axis=1)
+    assert shift.max() < np.hypot(1.2, 2.0)
+    triples, spans = np.flatnonzero(counts == 3), []
+    for one in triples[:60]:
+        copies = places[kinds == one]
+        assert np.ptp(copies[:, 2]) == 0
+        nearest = np.linalg.norm(copies[:, None] - places, axis=2)
+        nearest = np.array(
+            [nearest[:, kinds == kind].min(axis=1) for kind in triples if kind != one]
+        )
+        on_it = nearest.max(axis=1) < 1.0
+        spans += np.ptp(nearest[on_it], axis=1).tolist()
+    assert len(spans) > 100
+    assert np.median(spans) < 1e-5
+    truth = told.recorded.observation_truth
+    for event in frames(told)[::40]:
+        rows = truth[event.robot, event.stamp_ns]
+        assert np.abs(event.descriptors - looks[rows]).max() < 0.1
+        where = at(told.recorded.truth[event.robot], np.array([event.stamp_ns]))[0]
+        camera = stereo.camera_from_map(places[rows], where, told.scenario.camera.mount)
+        errors = np.linalg.norm(event.positions - camera, axis=1)
+        assert np.median(errors) < 0.2
+    assert np.unique(places, axis=0).shape == places.shape
+
+
 def test_of_one_robot_or_of_all_but_one_the_start_is_unknown(base):
     told = hard_worlds.simulated(base, EXACT, 3, SEED)
     for name, count in (("unknown-one", 1), ("unknown-all-but-one", 2)):
