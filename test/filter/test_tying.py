@@ -292,6 +292,47 @@ def test_tied_pieces_are_one_from_the_beginning(unknowns, late, monkeypatch):
     np.testing.assert_allclose(first[0][:2], first[1][:2], atol=0.1)
 
 
+def test_the_pairs_that_voted_are_one_to_begin_with(monkeypatch):
+    """Although nothing looks alike enough for smoothing to join it."""
+    never_tied(monkeypatch)
+    own = settings()
+    particles, _ = run(drive(12), own)
+    state, vote = particles.state, truly_turned()
+    pairs = pairs_of(state, vote)
+    assert len(pairs) > 10
+    tying.turn(state, 2, vote, np.random.default_rng(5))
+    state.pieces = Pieces(np.zeros(2, int), (), pairs)
+    state.landmarks.pieces[:] = 0
+    made, _ = renewed(state, replace(own, descriptor_gate=1e-9))
+    columns, _ = made.landmarks.of_particle(int(np.argmax(made.log_weight_sum)))
+    held = made.landmarks.ids[columns]
+    assert np.isin(pairs[:, 0], held).all()
+    assert not np.isin(pairs[:, 1], held).any()
+
+
+def test_three_votes_in_a_row_must_say_the_same():
+    vote = truly_turned()
+    elsewhere = vote._replace(pose=vote.pose + [2.0, 0, 0])
+    turned = vote._replace(pose=vote.pose + [0, 0, np.pi])
+    doubted = vote._replace(chance=1e-3)
+
+    def agreed(*votes):
+        pieces = Pieces(np.arange(3))
+        for found in votes:
+            pieces, is_enough = tying._noted(pieces, 0, 1, found)
+            pieces, other = tying._noted(pieces, 0, 2, None)
+            assert not other
+        return is_enough
+
+    assert agreed(vote, vote, vote)
+    assert agreed(elsewhere, vote, vote, vote)
+    for votes in ((vote, vote), (vote, elsewhere, vote), (vote, turned, vote)):
+        assert not agreed(*votes)
+    for odd in (elsewhere, turned, doubted, None):
+        assert not agreed(vote, vote, odd)
+        assert not agreed(vote, odd, vote)
+
+
 def first_pose(state, robot):
     _, settled = state.history.settled.path(robot)
     records = [r.poses.mean(axis=1) for r in state.history.records if r.robot == robot]
