@@ -312,8 +312,8 @@ def test_the_pairs_that_voted_are_one_to_begin_with(monkeypatch):
 
 def test_three_votes_in_a_row_must_say_the_same():
     vote = truly_turned()
-    elsewhere = vote._replace(pose=vote.pose + [2.0, 0, 0])
-    turned = vote._replace(pose=vote.pose + [0, 0, np.pi])
+    elsewhere = vote._replace(pose=vote.pose + np.array([2.0, 0, 0]))
+    turned = vote._replace(pose=vote.pose + np.array([0, 0, np.pi]))
     doubted = vote._replace(chance=1e-3)
 
     def agreed(*votes):
