@@ -3,7 +3,7 @@
 import typer
 
 from msg_defs import cli
-from multi_robot_slam.cli import convert, judge, landmarks, nodes, run, study
+from multi_robot_slam.cli import convert, judge, landmarks, maps, nodes, run, study
 
 app = typer.Typer(
     help="Multi-robot visual SLAM: one landmark map and all robots' paths.",
@@ -13,6 +13,7 @@ app = typer.Typer(
 verbs = (run.demo, run.run, landmarks.landmarks, judge.evaluate, judge.report, judge.compare)
 for verb in (*verbs, judge.export):
     app.command()(verb)
+app.add_typer(maps.app, name="map")
 app.add_typer(convert.app, name="convert")
 for node in (nodes.camera, nodes.fusion, nodes.record, nodes.replay):
     app.command(context_settings=cli.PASS_ON, add_help_option=False)(node)

@@ -80,6 +80,15 @@ def run(
     ] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Seed of the filter: seed.")] = None,
     namespace: Namespace = None,
+    map_: Annotated[
+        Path | None,
+        typer.Option(
+            "--map",
+            metavar="FILE",
+            help="Map to begin with, of an earlier run (map.npz in its folder); robots start in it "
+            "at their start_poses, as certain as start_sigma says, the first one too.",
+        ),
+    ] = None,
     refine: Annotated[
         bool, typer.Option("--refine", help="Then smooth over the best particle's associations.")
     ] = False,
@@ -88,9 +97,13 @@ def run(
 
     Prints errors where the bag holds the truth. `evaluate` adds the yardstick, the best answer
     there is, and pictures; `report` draws the page to explore.
+
+    The map is left in map.npz, for `run --map` on another day: with other robots, or as many. By
+    default they go on mapping; with `--set filter.mapping=false` they are localised in the map,
+    which does not change. `map info` and `map export` read it.
     """
     from multi_robot_slam import runs
-    from multi_robot_slam.cli import configuration, folders, results
+    from multi_robot_slam.cli import configuration, folders, maps, results
     from multi_robot_slam.pipeline import offline
 
     words = list(set_ or ())
@@ -98,17 +111,18 @@ def run(
     words += [f"seed={seed}"] if seed is not None else []
     recording = configuration.Recording(bag, namespace)
     config = configuration.of_run(recording, scenario, overrides.parse(words), warn)
+    pipeline = maps.begin(config, map_, refine)
     with folders.new_folder(out) as folder:
         with countdown() as progress:
             task = progress.add_task(f"{bag}", total=None)
-            result = offline.estimate(
+            result = offline.estimate_by(
+                pipeline,
                 bag,
-                config,
-                warn=warn,
                 on_progress=lambda done, total: progress.update(task, completed=done, total=total),
                 refine=refine,
                 namespace=namespace,
                 scenario=scenario,
             )
         runs.write_estimates(result, folder)
+        maps.leave(pipeline, result, folder)
         results.finish(result, folder, with_pictures=False)

@@ -9,7 +9,7 @@ records keep a row for each until the next one.
 import hashlib
 from collections.abc import Iterator, Sequence
 from copy import copy
-from typing import NamedTuple, overload
+from typing import Any, NamedTuple, overload
 
 import numpy as np
 
@@ -63,6 +63,10 @@ class History:
         self._pruned = 0
         self._rejuvenated = 0
 
+    def __getstate__(self) -> dict[str, Any]:
+        """With records of its own: those that are here lose rows from time to time."""
+        return {**self.__dict__, "records": [copy(record) for record in self.records]}
+
     def append(
         self,
         frame: RobotFrame,
@@ -103,7 +107,6 @@ class History:
     def copy(self) -> "History":
         """The same, on which later steps of this one have no effect."""
         result = copy(self)
-        result.records = [copy(record) for record in self.records]
         result.signatures = self.signatures.copy()
         return result
 

@@ -6,6 +6,8 @@ generation in which its planes were last written, `rows` maps today's particles 
 generation, and the column is gathered only when it is next observed.
 """
 
+from typing import Any
+
 import numpy as np
 
 from msg_defs.types import DESCRIPTOR_SIZE
@@ -57,6 +59,12 @@ class Landmarks:
         self._rows = np.arange(particles, dtype=np.int32)[None].copy()
         self._current = 0
         self._reserved = np.empty(0, int)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All columns that were ever used: what is set aside beyond them holds nothing."""
+        columns = ("planes", "descriptors", "boxes", "ids", "pieces", "_partial", "_generations")
+        used = {name: getattr(self, name)[: self.top] for name in columns}
+        return {**self.__dict__, **used}
 
     @classmethod
     def holding(

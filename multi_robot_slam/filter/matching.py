@@ -9,6 +9,7 @@ from multi_robot_slam.filter.association import Candidates
 from multi_robot_slam.filter.kernels import Matches, Observed
 from multi_robot_slam.filter.known_distance import at_known
 from multi_robot_slam.filter.landmarks import Landmarks
+from multi_robot_slam.filter.pieces import MAP
 from multi_robot_slam.filter.settings import FilterSettings, threads
 from multi_robot_slam.filter.sightings import Sighted
 from multi_robot_slam.filter.state import State
@@ -54,6 +55,8 @@ class Matching(NamedTuple):
     matches: Matches
     piece: int
     """Of the robot."""
+    unmapped: np.ndarray | None
+    """(T, 9, M) the planes of the `touched` before, where the frame must not change the map."""
 
 
 def begin(
@@ -84,7 +87,9 @@ def begin(
     matches = Matches(np.empty(shape, np.int32), np.empty(shape, dtype), np.empty(shape, dtype))
     observed = Observed(v.astype(dtype), frame.covariances.astype(dtype))
     new_columns = landmarks.reserve(count)
-    return Matching(frame, observed, candidates, touched, new_columns, matches, piece)
+    is_changed = settings.mapping or piece != MAP
+    unmapped = None if is_changed else landmarks.planes[touched]
+    return Matching(frame, observed, candidates, touched, new_columns, matches, piece, unmapped)
 
 
 def finish(
@@ -93,13 +98,19 @@ def finish(
     matching: Matching,
     sighted: Sighted,
 ) -> FrameInfo:
-    """Keep the landmarks that were created, and weigh (16)."""
-    frame, _, candidates, touched, new_columns, matches, piece = matching
+    """Keep the landmarks that were created, and weigh (16).
+
+    Without `mapping` none is kept, and those that were updated are as before.
+    """
+    frame, _, candidates, touched, new_columns, matches, piece, unmapped = matching
     new_ids = landmarks.ids[new_columns]
     ids, candidate_ids = kernels.name(
         matches.columns, candidates.columns, new_columns, landmarks.ids
     )
     created = kernels.complete_new(landmarks.planes, new_columns, matches.columns)
+    if unmapped is not None:
+        landmarks.planes[touched] = unmapped
+        created[:] = 0
     landmarks.bound(touched, settings.gate)
     landmarks.bound(new_columns[created > 0], settings.gate)
     landmarks.commit(new_columns, created, frame.descriptors, piece)

@@ -27,17 +27,20 @@ from typing import NamedTuple
 import numpy as np
 
 from multi_robot_slam.filter import new_map
+from multi_robot_slam.filter.covisible import Covisible
 from multi_robot_slam.filter.existence import Existence, Placed
 from multi_robot_slam.filter.forgetting import forgotten
 from multi_robot_slam.filter.looks import frames_of
 from multi_robot_slam.filter.new_past import Drawn, draw
 from multi_robot_slam.filter.settings import FilterSettings, RejuvenationSettings
+from multi_robot_slam.filter.settled import SeenLandmarks
 from multi_robot_slam.filter.snapshot import Snapshot
 from multi_robot_slam.filter.state import Optimum, State
 from multi_robot_slam.smoothing import joining, noise_factors, odometry_scale
 from multi_robot_slam.smoothing.absorption import absorb
 from multi_robot_slam.smoothing.noise_factors import NoiseFactors
 from multi_robot_slam.smoothing.odometry_scale import Scales
+from multi_robot_slam.smoothing.prior import Prior
 
 FAILURES = (ArithmeticError, ValueError)
 """What a step or a smoothing raises where it cannot be done, with the state as before.
@@ -99,6 +102,34 @@ def rejuvenate(
     )
 
 
+class AllSettled(NamedTuple):
+    """What is known of the landmarks when all frames have left."""
+
+    prior: Prior
+    existence: Existence
+    covisible: Covisible
+    seen: SeenLandmarks
+
+
+def all_settled(old: Snapshot, settings: FilterSettings, rng: np.random.Generator) -> AllSettled:
+    """What remains when the robots go: all frames settle, as the largest group has them.
+
+    `SmoothingError` where that cannot be smoothed.
+    """
+    records, seen = old.history.records, old.history.settled.seen
+    if not records:
+        return AllSettled(old.prior, old.existence, old.covisible, seen)
+    largest = draw(old, old.groups[0], _alike(old, settings), settings, rng)
+    count, past = len(records), largest.past
+    no_centre = _without_centre(old, largest, count, settings)
+    return AllSettled(
+        absorb(largest.problem, largest.smoothed, count, largest.prior, no_centre),
+        _existence(old, largest, count, settings),
+        old.covisible.also(records, past.identities, past.aliases),
+        seen.renamed(past.aliases).also(records, past.identities),
+    )
+
+
 def _draw_groups(
     old: Snapshot, settings: FilterSettings, rng: np.random.Generator
 ) -> tuple[list[Drawn], list[str]]:
@@ -107,9 +138,7 @@ def _draw_groups(
     None at all without the largest: what settles is what it makes of it.
     """
     least = settings.rejuvenation.share * len(old.log_weight_sum)
-    rows = joining.alike(old.held.descriptors, settings.descriptor_gate)
-    own, other = old.held.pieces[rows].T
-    alike = old.held.ids[rows[own == other]]
+    alike = _alike(old, settings)
     drawn: list[Drawn] = []
     failures: list[str] = []
     for members in old.groups:
@@ -121,6 +150,13 @@ def _draw_groups(
                 if members is old.groups[0]:
                     break
     return drawn, failures
+
+
+def _alike(old: Snapshot, settings: FilterSettings) -> np.ndarray:
+    """(A, 2) ids of landmarks of one piece that look alike."""
+    rows = joining.alike(old.held.descriptors, settings.descriptor_gate)
+    own, other = old.held.pieces[rows].T
+    return old.held.ids[rows[own == other]]
 
 
 def _renewed(old: Snapshot, drawn: list[Drawn], settings: FilterSettings) -> State:

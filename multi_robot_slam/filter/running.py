@@ -8,13 +8,17 @@ is, nor on whether there is one.
 """
 
 import os
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 
 from multi_robot_slam.filter import rbpf, rejuvenation, snapshot, tying
+from multi_robot_slam.filter.kept import KeptMap, closed, independent, opened
 from multi_robot_slam.filter.published import are_there
 from multi_robot_slam.filter.rbpf import StepInfo
 from multi_robot_slam.filter.rejuvenation import FAILURES, Rejuvenated
@@ -31,9 +35,12 @@ class _Begun:
     """A rejuvenation that does not count yet."""
 
     stamp_ns: int
-    result: Future[Result]
+    old: Snapshot
+    own: np.random.Generator
+    """Of the rejuvenation, as it was when that began."""
     rng: np.random.Generator
     """As it was after the step at which it began."""
+    result: Future[Result]
     steps: list[list[RobotFrame]] = field(default_factory=list)
     """The frames of each step since."""
 
@@ -44,6 +51,7 @@ class ParticleFilter:
     Parameters
     ----------
     start_poses, keeps_frames, are_known : as of `rbpf.init`.
+    kept : the map to begin with; none by default.
 
     """
 
@@ -54,10 +62,13 @@ class ParticleFilter:
         rng: np.random.Generator,
         keeps_frames: bool = True,
         are_known: np.ndarray | None = None,
+        kept: KeptMap | None = None,
     ) -> None:
         self.state = rbpf.init(
             start_poses, settings, keeps_frames=keeps_frames, are_known=are_known
         )
+        if kept is not None:
+            opened(self.state, kept, settings)
         self._settings = settings
         self._rng = rng
         self._begun: _Begun | None = None
@@ -75,10 +86,40 @@ class ParticleFilter:
         if self._begun is None:
             tied = tying.tie(self.state, self._settings, self._rng)
             info = info._replace(tied=tied)
-            rest = self._settings.rejuvenation
-            if rejuvenation.is_due(self.state, rest) or (tied and rest.ancestors_below):
+            if self._is_due(tied is not None):
                 self._begin(now_ns)
         return info
+
+    def _is_due(self, is_tied: bool) -> bool:
+        """A rejuvenation begins after this step; `is_tied`: two pieces have become one in it."""
+        rest = self._settings.rejuvenation
+        if not self._settings.mapping:
+            return False
+        return rejuvenation.is_due(self.state, rest) or (is_tied and rest.ancestors_below > 0)
+
+    def closing(self) -> Callable[[], KeptMap]:
+        """What makes the map of all steps so far, elsewhere; it changes nothing here.
+
+        It raises `SmoothingError` where it cannot.
+        """
+        if self._settings.rejuvenation.ancestors_below == 0:
+            return partial(independent, deepcopy(self.state), self._settings)
+        own = deepcopy(self._rng).spawn(1)[0]
+        return partial(closed, snapshot.taken(self.state, self._settings, own), self._settings, own)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the thread: a rejuvenation that does not count yet is told by what it is of."""
+        begun = self._begun
+        told = begun and (begun.stamp_ns, begun.old, begun.own, begun.rng, [*begun.steps])
+        return {**self.__dict__, "_worker": None, "_begun": told}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """As it was; what had begun begins once more, with the same result."""
+        self.__dict__.update(state, _worker=_worker(state["_settings"]))
+        if self._begun is not None:
+            stamp_ns, old, own, rng, steps = state["_begun"]
+            result = self._submit(old, deepcopy(own))
+            self._begun = _Begun(stamp_ns, old, own, rng, result, steps)
 
     def close(self) -> None:
         """Let go of the thread; what it works on is not waited for."""
@@ -88,9 +129,9 @@ class ParticleFilter:
     def _begin(self, stamp_ns: int) -> None:
         own = self._rng.spawn(1)[0]
         old = snapshot.taken(self.state, self._settings, own)
-        result = self._submit(old, own)
+        result = self._submit(old, deepcopy(own))
         self.state.begin_origins()
-        self._begun = _Begun(stamp_ns, result, deepcopy(self._rng))
+        self._begun = _Begun(stamp_ns, old, own, deepcopy(self._rng), result)
 
     def _submit(self, old: Snapshot, rng: np.random.Generator) -> Future[Result]:
         if self._worker is not None:

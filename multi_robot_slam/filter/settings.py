@@ -138,6 +138,12 @@ class FilterSettings:
         "finds, a factor of 1 or more on what was told; otherwise the factors are estimated all "
         "the same, and only told",
     ] = True
+    mapping: Annotated[
+        bool,
+        "whether what robots see changes the map; otherwise they are only localised in the one "
+        "that was loaded, nothing is learnt of odometry and noise, and nothing is rejuvenated: "
+        "that needs unknown landmarks",
+    ] = True
     threads: Annotated[
         int, Interval(ge=0, le=256), "threads of the filter; 0 chooses; no effect on results"
     ] = 0

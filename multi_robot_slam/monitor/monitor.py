@@ -31,6 +31,7 @@ class Monitor:
     names : of the robots.
     start_poses : of each (3,) as configured: x, y [m], yaw [rad] in `map`; None: unknown.
     cameras : where the camera of each sits.
+    loaded : landmarks with smaller ids are of a map that was there before: each robot's own.
 
     """
 
@@ -40,8 +41,10 @@ class Monitor:
         start_poses: Sequence[np.ndarray | None],
         cameras: Sequence[CameraMount],
         settings: FilterSettings,
+        loaded: int = 0,
     ) -> None:
         self._settings = settings
+        self._loaded = loaded
         self._findings = [
             Findings(
                 name,
@@ -109,8 +112,9 @@ class Monitor:
         if is_lost_now or not (own.evidence.log or found.in_view.evidence.log):
             self._old_before[frame.robot] = seen.next_id
         seen = seen.with_noise(self._found[frame.robot].factor if self._found else 1.0)
-        creators = np.array([self._creator(number) for number in seen.ids], int)
-        is_old = (creators != frame.robot) | (seen.ids < self._old_before[frame.robot])
+        creators = np.array([self._creator(number, frame.robot) for number in seen.ids], int)
+        old_before = max(self._old_before[frame.robot], self._loaded)
+        is_old = (creators != frame.robot) | (seen.ids < old_before)
         for robot, recognition in enumerate(found.recognised):
             recognition.note(seen, is_old & (creators == robot))
         if found.in_view.evidence.is_alarming:
@@ -125,6 +129,8 @@ class Monitor:
         self._first_ids.append(int(new_ids[0]))
         self._creators.append(robot)
 
-    def _creator(self, landmark: int) -> int:
-        """The robot whose observation created a landmark."""
+    def _creator(self, landmark: int, robot: int) -> int:
+        """The robot whose observation created a landmark; `robot` where that was loaded."""
+        if landmark < self._loaded:
+            return robot
         return self._creators[bisect_right(self._first_ids, landmark) - 1]

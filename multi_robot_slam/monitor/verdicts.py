@@ -124,7 +124,7 @@ def _judged(
     numbers = _numbers(own, robot) | learnt.numbers
     offset = own.recognised[robot].offset
     if offset is not None:
-        return _lost(own, offset, "it", numbers)
+        return _lost(own, offset, "it knows", numbers)
     if own.in_view.evidence.is_alarming:
         return _out_of_sight(own, numbers)
     if robot in wrong:
@@ -132,7 +132,7 @@ def _judged(
         offset = _offset(team, robot, other)
         if since_start and own.start is not None:
             return _start_wrong(own, own.start, team[other].name, offset, numbers)
-        return _lost(own, offset, team[other].name, numbers)
+        return _lost(own, offset, f"{team[other].name} mapped", numbers)
     if learnt.is_wrong:
         return Verdict(own.name, "noisier than told", learnt.cause, learnt.remedy, numbers)
     if own.innovations.evidence.is_alarming:
@@ -204,7 +204,7 @@ def _start_wrong(
 
 def _lost(own: Findings, offset: Alignment, whose: str, numbers: dict[str, float]) -> Verdict:
     cause = (
-        f"{own.name} sees landmarks that {whose} mapped "
+        f"{own.name} sees landmarks that {whose} "
         f"{_how_far(offset, own.innovations.pose)} from where they are, by {offset.inliers} of "
         f"{offset.pairs} landmarks: it was carried away, or its wheels slipped"
     )

@@ -37,7 +37,9 @@ RESET = Refusal(
 )
 
 
-class _Sample(NamedTuple):
+class Sample(NamedTuple):
+    """A sample that was taken."""
+
     stamp_ns: int
     pose: np.ndarray
     """(3,) in the frame of the first sample: resets leave no jump."""
@@ -85,7 +87,7 @@ class Odometry:
         self._limits = limits
         self._noise = noise
         self._tell = tell
-        self._samples: deque[_Sample] = deque()
+        self._samples: deque[Sample] = deque()
         self._last: PoseSample | None = None
         self._before_last: PoseSample | None = None
         self._doubted: list[PoseSample] = []
@@ -243,7 +245,7 @@ class Odometry:
         now = Instant(sample.stamp_ns, pose)
         covariance = sample.covariance if origin is None else None
         rates = self._rates_until(now, is_reset)
-        self._samples.append(_Sample(sample.stamp_ns, pose, origin, rates, covariance))
+        self._samples.append(Sample(sample.stamp_ns, pose, origin, rates, covariance))
         self._first = self._first or now
         self._before_last, self._last = self._last, sample
         if len(self._samples) > MOST_SAMPLES:

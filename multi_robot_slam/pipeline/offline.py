@@ -113,18 +113,35 @@ def estimate(
     namespace: str | None = None,
     scenario: str | None = None,
 ) -> runs.Run:
-    """Run the filter over the bag.
+    """Run the filter over the bag; `warn` is called with a line for each message that is dropped.
+
+    The rest as for `estimate_by`.
+    """
+    pipeline = Pipeline(config, warn, keeps_frames=refine or yardstick)
+    return estimate_by(pipeline, bag, on_progress, refine, yardstick, namespace, scenario)
+
+
+def estimate_by(
+    pipeline: Pipeline,
+    bag: Path,
+    on_progress: OnProgress = lambda done, total: None,
+    refine: bool = False,
+    yardstick: bool = False,
+    namespace: str | None = None,
+    scenario: str | None = None,
+) -> runs.Run:
+    """Run a new pipeline over the bag; to refine, and for the yardstick, it must keep frames.
 
     Parameters
     ----------
-    warn : called with a line for each message that is dropped.
     on_progress : called after each step.
     refine : whether to smooth over the best particle's associations at the end.
     yardstick : whether also over the true ones, if they are known.
     namespace : in which the team was recorded (`events`).
-    scenario : name or file of the scenario that `config` comes from, for `result.json`.
+    scenario : name or file of the scenario the configuration comes from, for `result.json`.
+
     """
-    pipeline = Pipeline(config, warn, keeps_frames=refine or yardstick)
+    config = pipeline.config
     where = BagReader(bag).find_namespace(_inputs(config), namespace)
     predictions = runs.Predictions()
     read = Tally()
@@ -213,6 +230,7 @@ def load(folder: Path, namespace: str | None = None) -> runs.Run:
     frames = sum(len(step.frames) for step in run.steps)
     if has_it or not run.observation_truth or run.bag is None or frames > refinement.MAX_FRAMES:
         return run
-    pipeline = Pipeline(replace(run.config, filter=replace(run.config.filter, particles=1)))
+    one = replace(run.config.filter, particles=1, mapping=True)
+    pipeline = Pipeline(replace(run.config, filter=one))
     run_through(pipeline, events(run.bag, run.config, pipeline.refuse, run.namespace))
     return refinement.measured(run, pipeline.lineage())

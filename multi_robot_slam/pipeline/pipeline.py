@@ -9,6 +9,7 @@ cannot do leaves everything as it was.
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 
 import numpy as np
 
@@ -26,6 +27,7 @@ from msg_defs.types import (
 )
 from multi_robot_slam.config import Config
 from multi_robot_slam.filter import rbpf, running
+from multi_robot_slam.filter.kept import KeptMap
 from multi_robot_slam.filter.rejuvenation import FAILURES
 from multi_robot_slam.filter.running import ParticleFilter
 from multi_robot_slam.models import motion
@@ -53,6 +55,10 @@ class Pipeline:
     config : the whole configuration.
     warn : called with one line for each event and message that is dropped.
     keeps_frames : whether all frames are kept, to smooth the whole run at its end: 3 kB a frame.
+    kept : the map to begin with, with the bits of this team's robots. It fixes where `map` is, and
+        not the first robot, which starts as certain as the others.
+
+    `InputError` where robots are only to be localised (`filter.mapping`) and there is no map.
 
     """
 
@@ -61,18 +67,25 @@ class Pipeline:
         config: Config,
         warn: Callable[[str], None] = lambda text: None,
         keeps_frames: bool = True,
+        kept: KeptMap | None = None,
     ):
+        if kept is not None and not config.start_sigmas:
+            config = replace(config, start_sigmas=(config.start_sigma,) * len(config.robots))
+        elif kept is None and not config.filter.mapping:
+            raise InputError("filter.mapping = false: there is no map to localise in; load one")
         self.config = config
         self.dropped: Counter[str] = Counter()
         """How much was lost, by reason."""
-        self._warn = warn
+        self.warn = warn
         self._particles = ParticleFilter(
             config.starts,
             config.filter,
             np.random.default_rng(config.seed),
             keeps_frames,
             config.are_known,
+            kept,
         )
+        self._loaded = kept
         self._monitor = Monitor(
             config.robots,
             [
@@ -81,6 +94,7 @@ class Pipeline:
             ],
             [config.mount_of(robot) for robot in range(len(config.robots))],
             config.filter,
+            0 if kept is None else int(kept.next_id),
         )
         self._levels = Levels(warn)
         self._guard = TimeGuard(config.apart_ns, self._drop_far_ahead)
@@ -162,15 +176,30 @@ class Pipeline:
     def lose(self, reason: str, text: str, count: int = 1) -> None:
         """Count and tell of what was lost before it became an event."""
         self.dropped[reason] += count
-        self._warn(text)
+        self.warn(text)
 
     def refuse(self, error: InputError) -> None:
         """Count and tell of a message that could not be decoded."""
         self.lose(f"bad {str(error).partition(':')[0]}", f"dropped {error}")
 
     def landmark_map(self) -> LandmarkMap:
-        """The best particle's map (17); where it draws, what all make of its landmarks."""
+        """The best particle's map (17); where it draws, what all make of its landmarks.
+
+        Without mapping, the one that was loaded.
+        """
+        if self._loaded is not None and not self.config.filter.mapping:
+            return self._loaded.landmark_map()
         return estimates.landmark_map(self._particles.state, self.config)
+
+    def closing(self) -> Callable[[], KeptMap]:
+        """What makes the map to keep of all steps so far, elsewhere; it changes nothing here.
+
+        Without mapping, the one that was loaded. It raises `SmoothingError` where there is none.
+        """
+        loaded = self._loaded
+        if loaded is not None and not self.config.filter.mapping:
+            return lambda: loaded
+        return self._particles.closing()
 
     def lineage(self) -> list[tuple[Record, int]]:
         """The best particle's past, oldest first: its row in the record of each frame.

@@ -136,14 +136,19 @@ def ply(run: Run, file: Path) -> list[str]:
             *(pose_points(path, index) for index, path in enumerate(paths.values())),
         ]
     )
-    names = POINT.names or ()
-    lines = [f"property {_PLY_TYPES[POINT[name].str]} {name}" for name in names]
-    head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}", *lines]
-    file.write_bytes("\n".join([*head, "end_header\n"]).encode() + points.tobytes())
+    write_points(points, file)
     return [
         f"{len(landmarks.ids)} landmarks and {len(points) - len(landmarks.ids)} poses",
         "left out: stamps, headings, directions of the covariances, descriptors",
     ]
+
+
+def write_points(points: np.ndarray, file: Path) -> None:
+    """Write `points` (N,) of POINT as a binary cloud (PLY)."""
+    names = POINT.names or ()
+    lines = [f"property {_PLY_TYPES[POINT[name].str]} {name}" for name in names]
+    head = ["ply", "format binary_little_endian 1.0", f"element vertex {len(points)}", *lines]
+    file.write_bytes("\n".join([*head, "end_header\n"]).encode() + points.tobytes())
 
 
 def landmark_points(landmarks: LandmarkMap) -> np.ndarray:

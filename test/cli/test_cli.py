@@ -42,7 +42,7 @@ def test_run_leaves_results_and_prints_the_table(command, bag, tmp_path):
     robots = ("robot_1", "robot_2")
     trajectories = {f"{kind}_{robot}.tum" for kind in ("trajectory", "truth") for robot in robots}
     figures = {"result.json", "figures.csv"}
-    assert written == {"config.yaml", "map.csv", "estimates"} | trajectories | figures
+    assert written == {"config.yaml", "map.csv", "map.npz", "estimates"} | trajectories | figures
 
 
 def test_pictures_and_the_yardstick_come_with_evaluate(command, bag, tmp_path):
