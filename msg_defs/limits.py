@@ -27,6 +27,9 @@ import numpy as np
 
 from msg_defs.errors import InputError
 
+AT_ANY_TIME = object()
+"""Marks a field that, as a ROS parameter, may change while a node runs."""
+
 _WORDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
 _PLURALS = {bool: "booleans", int: "whole numbers", float: "numbers", str: "texts"}
 

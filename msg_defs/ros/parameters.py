@@ -27,7 +27,9 @@ def given(node: Node) -> dict[str, Any]:
 
 
 def declare(node: Node, *classes: type, section: str | None = None) -> list[Any]:
-    """Declare every field of the settings `classes` as a read-only parameter; their values.
+    """Declare every field of the settings `classes` as a parameter; their values.
+
+    It is read-only unless its field is marked `limits.AT_ANY_TIME`.
 
     Nested settings get dotted names, a tuple of tuples becomes one flat array, in which a word
     instead of a row is as many NaN. With `section`, a
@@ -112,8 +114,9 @@ def _declare_one(node: Node, name: str, value: Any, descriptor: ParameterDescrip
 
 def _describe(leaf: limits.Field) -> ParameterDescriptor:
     """Description, unit and closed range; `from_mapping` has checked the open bounds already."""
+    is_fixed = limits.AT_ANY_TIME not in leaf.metadata
     descriptor = ParameterDescriptor(
-        description=leaf.description, read_only=True, dynamic_typing=True
+        description=leaf.description, read_only=is_fixed, dynamic_typing=is_fixed
     )
     bounds = limits.bounds_of(leaf.metadata)
     low = bounds.gt if bounds.ge is None else bounds.ge
@@ -134,7 +137,7 @@ def _describe(leaf: limits.Field) -> ParameterDescriptor:
 def _refuse_unknown(node: Node, names: Mapping[str, Any]) -> None:
     for name in names:
         is_ros_own = name in _ROS_OWN or name.startswith(QOS_OVERRIDES)
-        if not is_ros_own and not node.describe_parameter(name).read_only:
+        if not is_ros_own and not node.describe_parameter(name).description:
             raise InputError(
                 f"unknown parameter '{name}' of node {node.get_name()}; "
                 "remove it or correct its spelling"

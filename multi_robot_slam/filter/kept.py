@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from msg_defs.types import LandmarkMap
-from multi_robot_slam.filter import kernels, rbpf, rejuvenation
+from multi_robot_slam.filter import rbpf, rejuvenation
 from multi_robot_slam.filter.covisible import Covisible
 from multi_robot_slam.filter.existence import Evidence, Existence, Placed, published
 from multi_robot_slam.filter.forgetting import forgotten

@@ -25,6 +25,8 @@ class Health:
         self, robots: tuple[str, ...], silent_s: float, clock: Callable[[], float] = time.monotonic
     ) -> None:
         self.lag_s = 0.0
+        self.is_paused = False
+        """What arrives is not used."""
         self._silent_s = silent_s
         self._clock = clock
         self._heard_s = dict.fromkeys(robots, -np.inf)
@@ -110,6 +112,8 @@ class Health:
             return wire.ERROR, "a step failed: the estimate is as before"
         if self.step and not np.isfinite(self.step.effective_particles):
             return wire.ERROR, "the particles' weights are not finite: start over"
+        if self.is_paused:
+            return wire.WARN, "paused: nothing that arrives is used"
         if self._nothing_but_losses(dropped.total()):
             return wire.ERROR, "nothing but losses: see what is dropped, and why"
         return (wire.WARN, "messages were dropped") if dropped else (wire.OK, "running")

@@ -64,6 +64,10 @@ class Losses:
         self._newest_ns = stamp_ns
         return self._lost(stamp_ns - self._patience_ns)
 
+    def pause(self) -> None:
+        """Nobody listened for a while: what came meanwhile is not missed."""
+        self._newest_ns = -1
+
     def excuse(self) -> None:
         """A message came under a wrong stamp: it will be missing where it belongs."""
         self._elsewhere += 1

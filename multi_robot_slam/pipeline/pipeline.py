@@ -169,6 +169,12 @@ class Pipeline:
             for robot in self._reorder.robots
         }
 
+    def pause(self) -> None:
+        """Nobody listened for a while: what came meanwhile is a gap, but not lost on its way."""
+        for robot in self._reorder.robots:
+            for losses in robot.losses.values():
+                losses.pause()
+
     def close(self) -> None:
         """Let go of the thread beside the filter; nothing can be handled after."""
         self._particles.close()

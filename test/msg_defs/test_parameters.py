@@ -5,6 +5,7 @@ import pytest
 from annotated_types import Ge, Gt, Interval
 
 from msg_defs.errors import InputError
+from msg_defs.limits import AT_ANY_TIME
 from msg_defs.types import settings
 from multi_robot_slam.config import SECTION, Config
 
@@ -124,3 +125,23 @@ def test_a_word_instead_of_a_row_is_as_many_nan():
         said = list(node.get_parameter("start_poses").value)
         assert said[:3] == [1.0, 2.0, 0.5]
         assert [x != x for x in said] == [False] * 3 + [True] * 3
+
+
+@settings
+class Changing:
+    file: Annotated[str, AT_ANY_TIME, "a file"] = "a"
+    other: Annotated[str, "another"] = "b"
+
+
+def test_what_is_marked_may_change_at_any_time():
+    with nodes.ros("-p", "file:=given"):
+        edge_node = nodes.spin.EdgeNode("changing")
+        assert parameters.declare(edge_node, Changing) == [Changing(file="given")]
+        wanted = {"file": True, "other": False}
+        for name, may_change in wanted.items():
+            (result,) = edge_node.set_parameters([nodes.rclpy.Parameter(name, value="new")])
+            assert result.successful == may_change
+        assert edge_node.get_parameter("file").value == "new"
+        assert edge_node.describe_parameter("file").description == "a file"
+    with nodes.ros("-p", "strange:=1"), pytest.raises(InputError, match="unknown parameter"):
+        parameters.declare(nodes.spin.EdgeNode("changing"), Changing)

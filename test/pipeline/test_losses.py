@@ -141,3 +141,14 @@ def test_a_recording_and_its_replay_have_lost_nothing(tmp_path):
     _, config = recordings.record(tmp_path / "bag", particles=5)
     run = offline.estimate(tmp_path / "bag", config, pytest.fail)
     assert not run.dropped
+
+
+def test_what_came_while_nobody_listened_is_not_missed():
+    losses = Losses(10**9)
+    stamps = [n * 10**8 for n in range(20)]
+    later = [stamp + 4 * 10**9 for stamp in stamps]
+    assert [losses.hear(stamp) for stamp in stamps] == [[]] * 20
+    losses.pause()
+    assert [losses.hear(stamp) for stamp in later] == [[]] * 20
+    assert losses.end() == []
+    assert losses.total == 0
