@@ -267,7 +267,7 @@ class Pipeline:
             verdicts = self._monitor.judge(self._particles.state, frames, info, expected)
             self._levels.tell(frames[0].stamp_ns, verdicts)
             if info.tied is not None:
-                self._warn(f"at {_time(frames[0].stamp_ns)}: {tied_in(self.config, info.tied)}")
+                self.warn(f"at {_time(frames[0].stamp_ns)}: {tied_in(self.config, info.tied)}")
             took_ms = (time.perf_counter() - start) * 1e3
             state = self._particles.state
             steps.append(step_record(self.config, state, frames, info, verdicts, took_ms))

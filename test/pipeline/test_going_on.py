@@ -23,8 +23,8 @@ OFTEN = RejuvenationSettings(ancestors_below=0.5, delay_s=1.0, unknowns=150)
 STEPS = 45
 
 
-@pytest.fixture(scope="module")
-def recording(tmp_path_factory):
+@pytest.fixture(scope="module", params=["known", "unknown"])
+def recording(tmp_path_factory, request):
     """Configuration and events of a team that learns what it can, and whose frames settle."""
     bag = tmp_path_factory.mktemp("going_on") / "bag"
     scenario = Scenario(robots=2, observations=8)
@@ -36,6 +36,8 @@ def recording(tmp_path_factory):
         sightings=True,
         filter=replace(config.filter, motion=noise),
     )
+    if request.param == "unknown":  # the second robot is a piece of its own
+        config = replace(config, start_poses=(config.start_poses[0], "unknown"))
     return config, list(with_sightings(offline.events(bag, config)))
 
 
