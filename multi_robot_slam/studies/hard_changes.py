@@ -23,6 +23,10 @@ MOVED_LANDMARKS, MOVED_M, MOVED_AFTER_S = 30, 1.0, 60.0
 BAY_M, COPIES = 1.2, 3
 SLIP_S = 1.0
 """A slip takes so long: in one sample it would be no motion of any robot, and refused."""
+AUTOSAVE_S = 5.0
+"""The longest time since the last state was saved."""
+BACK_AFTER_S = 5.0
+"""A fusion that was killed is there again: it starts, and loads what is compiled."""
 NEAREST_M = 0.5
 """Nearest random position of an observation."""
 
@@ -383,6 +387,16 @@ def robot_late(seconds: float) -> Change:
 def fusion_restarted(told: Told, rng: np.random.Generator) -> Told:
     """In mid-run the fusion is started anew. What it said before is not judged, and left out."""
     return _from(told, _moments(told, rng, 0.0)[0])
+
+
+def fusion_killed(told: Told, rng: np.random.Generator) -> Told:
+    """In mid-run the fusion is killed, and goes on from a state that was saved before.
+
+    It then does what it would have done if it had heard nothing since that state, to the byte.
+    """
+    begins, ends = _moments(told, rng, rng.uniform(0, AUTOSAVE_S) + BACK_AFTER_S)
+    kept = tuple(e for e in told.events if not begins < e.stamp_ns <= ends)
+    return replace(told, events=kept, culprits=told.names, begins_ns=begins, known_ns=ends)
 
 
 def robot_restarted(told: Told, rng: np.random.Generator) -> Told:

@@ -162,6 +162,7 @@ TARGETS = {
     "few-observations": Target(optimum=True),
     "robot-late": Target(ratio=1.3, or_noticed=True),
     "fusion-restarted": Target(ratio=1.3, or_noticed=True),
+    "fusion-killed": Target(ratio=1.1),
     "robot-restarted": Target(ratio=1.3, or_noticed=True),
     "slip": Target(few_frames=True, others=1.1),
     "carried": Target(few_frames=True, others=1.1),

@@ -82,6 +82,7 @@ WORLDS: dict[str, World] = {
     "short-sight": World(simulated={"d_max_m": 5.0}, has_optimum=True),
     "few-observations": World(simulated={"observations": 5}, has_optimum=True),
     "robot-late": World(changes.robot_late(20.0), judged="later"),
+    "fusion-killed": World(changes.fusion_killed, judged="later"),
     "robot-restarted": World(changes.robot_restarted, judged="later"),
     "slip": World(changes.slipped),
     "carried": World(changes.carried),

@@ -382,6 +382,18 @@ def test_a_fusion_that_is_restarted_hears_the_rest(worlds):
     assert length / 3 <= told.begins_ns - START_NS <= 2 * length / 3
 
 
+def test_a_fusion_that_was_killed_has_heard_nothing_for_five_to_ten_seconds(worlds):
+    told, exact = worlds("fusion-killed"), worlds(EXACT)
+    kept = set(map(id, told.events))
+    gone = [e for e in exact.events if id(e) not in kept]
+    assert min(e.stamp_ns for e in gone) > told.begins_ns
+    assert max(e.stamp_ns for e in gone) <= told.known_ns
+    assert 5 * SECOND <= told.known_ns - told.begins_ns <= 10 * SECOND
+    assert len(gone) + len(told.events) == len(exact.events)
+    assert {e.robot for e in gone} == set(told.names)
+    assert told.config == exact.config
+
+
 def test_a_robot_that_is_restarted_counts_from_zero_and_moves_as_before(worlds):
     told, exact = worlds("robot-restarted"), worlds(EXACT)
     (name,) = told.culprits
