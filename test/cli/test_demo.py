@@ -123,7 +123,7 @@ LONG = "{robots: 2, movements: 2000, observations: 5}"
         (signal.SIGINT, os.kill, "effective particles"),
         (signal.SIGINT, os.killpg, "effective particles"),
         (signal.SIGTERM, os.kill, "publishing"),
-        (signal.SIGTERM, os.kill, "waiting for subscribers"),
+        (signal.SIGTERM, os.kill, "ready for"),
     ],
 )
 def test_a_signal_ends_every_process(start, tmp_path, number, send, when):

@@ -19,7 +19,9 @@ from multi_robot_slam.config import SECTION, Config
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
-QUICK = {("multi_robot_slam", verb) for verb in ("run", "evaluate", "compare", "report", "export")}
+QUICK = {
+    ("multi_robot_slam", verb) for verb in ("run", "evaluate", "compare", "report", "export", "map")
+}
 QUICK |= {("sim_world", "team"), ("sim_world", "descriptors"), ("sim_world", "generate")}
 LONG = {("multi_robot_slam", verb) for verb in ("demo", "landmarks", "study", "convert")}
 LONG |= {("sim_world", "generate --images")}
