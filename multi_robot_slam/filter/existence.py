@@ -162,10 +162,6 @@ class Existence:
         """With joined landmarks under the id that they go by."""
         return replace(self, evidence=self.evidence.renamed(aliases)) if len(aliases) else self
 
-    def going_on_from(self, anchors: np.ndarray) -> "Existence":
-        """With other `anchors` (K, 3): where robots' places begin has moved."""
-        return replace(self, anchors=anchors)
-
     def forget(self, ids: np.ndarray) -> "Existence":
         """Without the landmarks `ids`."""
         kept = np.setdiff1d(self.evidence.ids, ids)

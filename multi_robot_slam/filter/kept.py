@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from msg_defs.types import LandmarkMap
-from multi_robot_slam.filter import rbpf, rejuvenation
+from multi_robot_slam.filter import rejuvenation
 from multi_robot_slam.filter.covisible import Covisible
 from multi_robot_slam.filter.existence import Evidence, Existence, Placed, published
 from multi_robot_slam.filter.forgetting import forgotten
@@ -23,7 +23,7 @@ from multi_robot_slam.filter.reserved import reserved
 from multi_robot_slam.filter.settings import FilterSettings
 from multi_robot_slam.filter.settled import SeenLandmarks
 from multi_robot_slam.filter.snapshot import Snapshot
-from multi_robot_slam.filter.state import State
+from multi_robot_slam.filter.state import State, best_particle
 from multi_robot_slam.models.symmetric import inverses, pack, unpack
 from multi_robot_slam.smoothing.aliases import Aliases
 from multi_robot_slam.smoothing.prior import Prior
@@ -103,7 +103,7 @@ def independent(state: State, settings: FilterSettings) -> KeptMap:
 
     For a filter that is never rejuvenated: it knows nothing joint.
     """
-    landmarks, best = state.landmarks, rbpf.best_particle(state)
+    landmarks, best = state.landmarks, best_particle(state)
     columns, values = landmarks.of_particle(best)
     lineage = [
         (record, row)

@@ -19,7 +19,7 @@ from multi_robot_slam.filter.proposals import (
 )
 from multi_robot_slam.filter.rejuvenation import Rejuvenated
 from multi_robot_slam.filter.settings import FilterSettings
-from multi_robot_slam.filter.state import State, resample
+from multi_robot_slam.filter.state import State, best_particle, resample
 from multi_robot_slam.filter.tying import Tie
 from multi_robot_slam.models.frames import RobotFrame
 from multi_robot_slam.models.parallel import one_thread
@@ -133,11 +133,6 @@ def _propose(
         state.landmarks.release_reserved()
         raise
     return infos
-
-
-def best_particle(state: State) -> int:
-    """The particle with the largest sum of log weights (17)."""
-    return int(np.argmax(state.log_weight_sum))
 
 
 def moments(poses: np.ndarray, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -66,6 +66,11 @@ class State:
         self.origin_step = self.steps
 
 
+def best_particle(state: State) -> int:
+    """The particle with the largest sum of log weights (17)."""
+    return int(np.argmax(state.log_weight_sum))
+
+
 def resample(state: State, ancestors: np.ndarray) -> None:
     """Particle m continues as particle ancestors[m]: Algorithm 1, line 10."""
     state.poses = np.take(state.poses, ancestors, axis=2)

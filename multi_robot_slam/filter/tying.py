@@ -6,6 +6,7 @@ covariance: the same landmarks say it again, there with all that ties them, and 
 the piece follows.
 """
 
+from dataclasses import replace
 from itertools import combinations
 from typing import NamedTuple
 
@@ -16,11 +17,11 @@ from multi_robot_slam.filter.kernels import FAR
 from multi_robot_slam.filter.pieces import MAP, Pieces
 from multi_robot_slam.filter.settings import FilterSettings
 from multi_robot_slam.filter.settled import Settled
-from multi_robot_slam.filter.state import Optimum, State
+from multi_robot_slam.filter.state import Optimum, State, best_particle
 from multi_robot_slam.filter.vote import Points, Vote
 from multi_robot_slam.models.descriptors import squared_distances
 from multi_robot_slam.models.frames import Start
-from multi_robot_slam.models.motion import move
+from multi_robot_slam.models.motion import composed, move
 from multi_robot_slam.models.symmetric import pack, root, unpack
 from multi_robot_slam.smoothing.prior import Prior
 
@@ -57,10 +58,9 @@ def tie(state: State, settings: FilterSettings, rng: np.random.Generator) -> Tie
 
     `state` is changed in place.
     """
-    everyone = np.unique(state.pieces.of_robots).tolist()
-    if len(everyone) < 2:
+    if not state.pieces.are_many:
         return None
-    pairs = list(combinations(everyone, 2))
+    pairs = list(combinations(np.unique(state.pieces.of_robots).tolist(), 2))
     first, second = pairs[state.steps % len(pairs)]
     found, ids = _voted(state, first, second, settings)
     state.pieces, agreed = _noted(state.pieces, first, second, found)
@@ -83,8 +83,7 @@ def _voted(
 ) -> tuple[Vote | None, np.ndarray]:
     """What the landmarks of two pieces say, and the ids (n, 2) of those that agree."""
     landmarks = state.landmarks
-    best = int(np.argmax(state.log_weight_sum))
-    held, _ = landmarks.of_particle(best)
+    held, _ = landmarks.of_particle(best_particle(state))
     ours, theirs = (held[landmarks.pieces[held] == piece] for piece in (first, second))
     nothing = np.empty((0, 2), np.int64)
     distances = squared_distances(landmarks.descriptors[ours], landmarks.descriptors[theirs])
@@ -157,7 +156,7 @@ def turn(state: State, piece: int, found: Vote, rng: np.random.Generator) -> Non
     anchors = state.existence.anchors.copy()
     has_been = is_own & (anchors[:, 0] < FAR / 2)
     anchors[has_been] = _composed(known, anchors[has_been].T).T
-    state.existence = state.existence.going_on_from(anchors)
+    state.existence = replace(state.existence, anchors=anchors)
 
 
 def _turn_landmarks(state: State, piece: int, drawn: np.ndarray) -> None:
@@ -204,11 +203,7 @@ def _turned_optimum(state: State, is_own: np.ndarray, pose: np.ndarray) -> Optim
 
 def _turned_start(start: Start, found: Vote) -> Start:
     """The start, which where it lies tells nothing of any more."""
-    mean = _composed(found.pose[:, None], start.mean[:, None])[:, 0]
-    by_turn = _by_pose(mean[None], found.pose)[0]
-    turn = _turn_of(found.pose)
-    own = turn @ start.covariance @ turn.T
-    return Start(mean, own + by_turn @ (VAGUER * found.covariance) @ by_turn.T)
+    return Start(*composed(found.pose, VAGUER * found.covariance, start.mean, start.covariance))
 
 
 def _turned_settled(settled: Settled, is_own: np.ndarray, found: Vote) -> Settled:
@@ -246,21 +241,20 @@ def _turned_prior(state: State, piece: int, found: Vote) -> Prior:
     for robot in robots:
         rows = 3 * robot + np.arange(3)
         whole[np.ix_(rows, rows)] = turn
-        by_pose[rows] = _by_pose(poses[robot][None], found.pose)[0]
+        by_pose[rows] = _by_pose(poses[robot], found.pose)
     for centre in centres:
         rows = poses.size + 2 * centre + np.arange(2)
         whole[np.ix_(rows, rows)] = turn[:2, :2]
-        by_pose[rows] = _by_pose(places[centre][None], found.pose)[0][:2]
+        by_pose[rows] = _by_pose(places[centre], found.pose)[:2]
     covariance = whole @ prior.covariance @ whole.T
     covariance += by_pose @ (VAGUER * found.covariance) @ by_pose.T
     return Prior(poses, prior.ids, places, information, covariance)
 
 
 def _by_pose(moved: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    """(n, 3, 3): derivative of what was moved to (n, 3), by the pose that moved it."""
-    result = np.tile(np.eye(3), (len(moved), 1, 1))
-    result[:, 0, 2], result[:, 1, 2] = pose[1] - moved[:, 1], moved[:, 0] - pose[0]
-    return result
+    """(3, 3): derivative of what was moved to (3,), by the pose that moved it."""
+    x, y = moved[:2] - pose[:2]
+    return np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, 1.0]])
 
 
 def _turn_of(pose: np.ndarray) -> np.ndarray:

@@ -27,7 +27,7 @@ def step_record(
     """
     best = rbpf.best_particle(state)
     before = best if info.ancestors is None else info.ancestors[best]
-    was_in_map = state.pieces.robots_in_map.copy()
+    was_in_map = state.pieces.robots_in_map
     if info.tied is not None:  # the moments are from before
         was_in_map[list(info.tied.robots)] = False
     return StepRecord(

@@ -58,9 +58,8 @@ def start_covariance(robot: int, config: Config) -> np.ndarray:
     first = int(np.argmax(config.are_known))
     if robot == first or config.start_sigmas:
         return own
-    x, y, _ = config.starts[robot] - config.starts[first]
-    with_first = np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, 1.0]])
-    return own + with_first @ own @ with_first.T
+    apart = increment(config.starts[first], config.starts[robot])
+    return composed(config.starts[first], own, apart, own)[1]
 
 
 def _can_be(told: np.ndarray, least: np.ndarray) -> bool:

@@ -81,8 +81,7 @@ def row(name: str, outcome: Outcome, exact: Outcome) -> Row:
     later_ns = known_ns + int(LATER_S * 1e9)
     others = [robot for robot in told.names if robot not in told.culprits]
     figures, exact_figures = runs.evaluate(run), runs.evaluate(exact.run)
-    later = {robot: one.since(later_ns) for robot, one in own.items()}
-    exact_later = {robot: one.since(later_ns) for robot, one in reference.items()}
+    later, exact_later = since(own, later_ns), since(reference, later_ns)
     judged = {
         "published": own,
         "later": later,
@@ -148,6 +147,11 @@ def published(run: runs.Run) -> Team:
         if len(stamps) and robot.truth is not None:
             found[name] = Published(stamps, poses, covariances, at(robot.truth, stamps))
     return found
+
+
+def since(team: Team, stamp_ns: int) -> Team:
+    """What is published from `stamp_ns` on."""
+    return {name: one.since(stamp_ns) for name, one in team.items()}
 
 
 def aligned(team: Team) -> Team:
