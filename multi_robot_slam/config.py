@@ -115,8 +115,9 @@ class Config:
     robots: Annotated[tuple[str, ...], "names of the team's robots"] = ("robot_1",)
     start_poses: Annotated[
         tuple[StartPose, ...],
-        "x, y, yaw of each robot at the start [m, m, rad], or unknown, for all but one: such a "
-        "robot maps by itself, and has a place in `map` once it has seen enough of what others saw",
+        "x, y, yaw of each robot at the start [m, m, rad], or unknown, for all but one, and for "
+        "all where a map is loaded: such a robot maps by itself, and has a place in `map` once it "
+        "has seen enough of what is there",
     ] = ((0.0, 0.0, 0.0),)
     start_sigma: Annotated[
         tuple[float, float],
@@ -165,11 +166,6 @@ class Config:
             raise InputError(
                 f"start_poses: {len(self.start_poses)} poses for {count} robots; "
                 "give x, y, yaw of each"
-            )
-        if not self.are_known.any():
-            raise InputError(
-                "start_poses: unknown for all robots; give x, y, yaw of one, for example "
-                "[0, 0, 0]: it says where `map` is"
             )
         if self.mounts and len(self.mounts) != count:
             raise InputError(

@@ -86,7 +86,8 @@ def run(
             "--map",
             metavar="FILE",
             help="Map to begin with, of an earlier run (map.npz in its folder); robots start in it "
-            "at their start_poses, as certain as start_sigma says, the first one too.",
+            "at their start_poses, as certain as start_sigma says, the first one too; or anywhere, "
+            "where these are unknown.",
         ),
     ] = None,
     refine: Annotated[

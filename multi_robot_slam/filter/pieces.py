@@ -33,9 +33,14 @@ class Pieces(NamedTuple):
         return cls(np.where(are_known, MAP, np.arange(1, len(are_known) + 1)))
 
     @property
+    def numbers(self) -> list[int]:
+        """Of the pieces, ascending: `MAP`, which may have landmarks alone, and those of robots."""
+        return np.union1d(MAP, self.of_robots).tolist()
+
+    @property
     def are_many(self) -> bool:
         """There is more than one."""
-        return len(np.unique(self.of_robots)) > 1
+        return len(self.numbers) > 1
 
     @property
     def robots_in_map(self) -> np.ndarray:

@@ -60,7 +60,7 @@ def tie(state: State, settings: FilterSettings, rng: np.random.Generator) -> Tie
     """
     if not state.pieces.are_many:
         return None
-    pairs = list(combinations(np.unique(state.pieces.of_robots).tolist(), 2))
+    pairs = list(combinations(state.pieces.numbers, 2))
     first, second = pairs[state.steps % len(pairs)]
     found, ids = _voted(state, first, second, settings)
     state.pieces, agreed = _noted(state.pieces, first, second, found)
@@ -72,10 +72,22 @@ def tie(state: State, settings: FilterSettings, rng: np.random.Generator) -> Tie
     of_robots = np.where(state.pieces.of_robots == second, first, state.pieces.of_robots)
     kept = tuple(own for own in state.pieces.votes if second not in own[:2])
     state.pieces = Pieces(of_robots, kept, np.sort(ids, axis=1))
+    _join_landmarks(state, first, second, settings)
+    return Tie(tuple(robots.tolist()), first, found, seconds)
+
+
+def _join_landmarks(state: State, first: int, second: int, settings: FilterSettings) -> None:
+    """Landmarks of piece `second` are those of `first` from now on.
+
+    Where `map` must not change they are forgotten: they were there to vote.
+    """
     landmarks = state.landmarks
+    if first == MAP and not settings.mapping:
+        alive = landmarks.alive()
+        landmarks.forget(landmarks.ids[alive[landmarks.pieces[alive] == second]])
+        state.pieces = state.pieces.when_joined()
     landmarks.pieces[landmarks.pieces == second] = first
     landmarks.bound(landmarks.alive(), settings.gate)
-    return Tie(tuple(robots.tolist()), first, found, seconds)
 
 
 def _voted(

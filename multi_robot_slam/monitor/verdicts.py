@@ -107,9 +107,9 @@ def with_place_unknown(told: Verdict) -> Verdict:
     return replace(
         told,
         level="place unknown",
-        cause=f"the place of {name} in map is not known yet: it has not seen enough of what robots "
-        "saw whose place is known",
-        remedy=f"drive {name} where they have been, or give its start pose",
+        cause=f"the place of {name} in map is not known yet: it has not seen enough of what is in "
+        "the map",
+        remedy=f"drive {name} where the map has landmarks, or give its start pose",
     )
 
 

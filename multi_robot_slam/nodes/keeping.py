@@ -26,8 +26,8 @@ class Keeping:
     map: Annotated[
         str,
         AT_ANY_TIME,
-        "map to begin with, and that ~/load_map loads; the robots start in it at start_poses; "
-        "empty: none",
+        "map to begin with, and that ~/load_map loads; the robots start in it at start_poses, "
+        "or anywhere, where these are unknown; empty: none",
     ] = ""
     map_out: Annotated[str, AT_ANY_TIME, "map that ~/save_map writes"] = "map.npz"
     autosave: Annotated[

@@ -223,12 +223,13 @@ def load(folder: Path, namespace: str | None = None) -> runs.Run:
     """The run in `folder` (`runs.load`), with the yardstick where the associations are known.
 
     A run that does not have it with it needs the frames for it and not the estimates: one particle
-    puts them in order.
+    puts them in order. Where no start is known, they are in no common frame.
     """
     run = runs.load(folder, namespace)
     has_it = any(len(robot.yardstick.stamps_ns) for robot in run.robots.values())
     frames = sum(len(step.frames) for step in run.steps)
-    if has_it or not run.observation_truth or run.bag is None or frames > refinement.MAX_FRAMES:
+    is_known = run.observation_truth and run.config.are_known.any()
+    if has_it or run.bag is None or not is_known or frames > refinement.MAX_FRAMES:
         return run
     one = replace(run.config.filter, particles=1, mapping=True)
     pipeline = Pipeline(replace(run.config, filter=one))

@@ -58,7 +58,8 @@ class Pipeline:
     kept : the map to begin with, with the bits of this team's robots. It fixes where `map` is, and
         not the first robot, which starts as certain as the others.
 
-    `InputError` where robots are only to be localised (`filter.mapping`) and there is no map.
+    `InputError` where robots are only to be localised (`filter.mapping`) and there is no map; and
+    where nothing says where `map` is: no start pose, and no landmark of a map.
 
     """
 
@@ -73,6 +74,11 @@ class Pipeline:
             config = replace(config, start_sigmas=(config.start_sigma,) * len(config.robots))
         elif kept is None and not config.filter.mapping:
             raise InputError("filter.mapping = false: there is no map to localise in; load one")
+        if not config.are_known.any() and (kept is None or not len(kept.ids)):
+            raise InputError(
+                "start_poses: unknown for all robots; give x, y, yaw of one, for example "
+                "[0, 0, 0]: it says where `map` is; or load a map with landmarks"
+            )
         self.config = config
         self.dropped: Counter[str] = Counter()
         """How much was lost, by reason."""

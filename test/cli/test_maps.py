@@ -56,6 +56,15 @@ def test_who_only_looks_leaves_the_map_as_it_was(command, bag, first, tmp_path):
     assert command("evaluate", tmp_path / "next")[0] == 0
 
 
+@pytest.mark.parametrize("mapping", ["true", "false"])
+def test_robots_start_anywhere_in_a_map(command, bag, first, tmp_path, mapping):
+    anywhere = ("--set", "start_poses=[unknown, unknown]", "--set", f"filter.mapping={mapping}")
+    assert command("run", bag, *anywhere, "--map", first, "--out", tmp_path / "next")[0] == 0
+    found = figures(tmp_path / "next")
+    assert found["online_path_rmse_m"] < 1.3 * figures(tmp_path / "first")["online_path_rmse_m"]
+    assert command("evaluate", tmp_path / "next")[0] == 0
+
+
 def test_a_map_is_described_and_exported(command, first, tmp_path):
     code, told, _ = command("map", "info", first)
     assert code == 0
@@ -73,11 +82,13 @@ def test_a_map_is_described_and_exported(command, first, tmp_path):
 
 def test_what_cannot_be_is_refused(command, bag, first, tmp_path):
     out = tmp_path / "out"
+    anywhere = ("--set", "start_poses=[unknown, unknown]")
     for words, remedy in (
         (("run", bag, "--out", out, "--map", tmp_path / "no"), "no file"),
         (("run", bag, "--out", out, "--map", bag), "damaged"),
         (("run", bag, "--out", out, "--map", first, "--refine"), "leave out one"),
         (("run", bag, "--out", out, "--set", "filter.mapping=false"), "no map to localise in"),
+        (("run", bag, "--out", out, *anywhere), "or load a map"),
         (("map", "info", tmp_path / "no"), "no file"),
         (("map", "export", first, "--out", tmp_path / "first"), "exists"),
     ):

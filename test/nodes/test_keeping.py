@@ -154,6 +154,27 @@ def test_a_map_is_loaded_and_what_was_begun_is_forgotten(given, tmp_path):
         team.node.close()
 
 
+def test_robots_start_anywhere_in_a_loaded_map(given, tmp_path):
+    """They have a pose once they are found, and do what they do offline."""
+    kept = map_files.closed(pipeline_after(STEPS[:60]))
+    map_files.write(tmp_path / "a.npz", map_files.about(CONFIG, 1), kept)
+    anywhere = {"start_poses": f"[{', '.join(['.nan'] * 6)}]"}
+    config = replace(CONFIG, start_poses=("unknown", "unknown"))
+    records = handled(Pipeline(config, keeps_frames=False, kept=kept), STEPS[:60])
+    with nodes.ros(*words(given | anywhere | {"map": tmp_path / "a.npz"})):
+        team = Team(*map(topics.pose, CONFIG.robots))
+        steps = team.hear(STEPS[:60])
+        team.node.close()
+    assert [timeless(step) for step in steps] == [timeless(record) for record in records]
+    for robot in CONFIG.robots:
+        first = next(e for record in records for e in record.estimates if e.robot == robot)
+        assert first.stamp_ns > records[0].stamp_ns
+        heard = wire.decode_estimate(team.listener.heard[topics.pose(robot)][0], robot)
+        assert heard.stamp_ns == first.stamp_ns
+    with nodes.ros(*words(given | anywhere)), pytest.raises(InputError, match="or load a map"):
+        fusion.Fusion()
+
+
 def test_a_bad_map_is_refused_at_the_start(given, tmp_path):
     (tmp_path / "a.npz").write_text("hello")
     parameters = words(given | {"map": tmp_path / "a.npz"})

@@ -141,6 +141,35 @@ def test_who_only_looks_needs_a_map(day):
         Pipeline(config)
 
 
+@pytest.mark.parametrize("mapping", [True, False])
+def test_who_starts_anywhere_is_found_in_the_map(day, saved, tmp_path, mapping):
+    """Where the map has it, and nothing is said of it before."""
+    config, events, known = day
+    path, _ = saved
+    own = replace(config.filter, mapping=mapping)
+    config = replace(config, start_poses=("unknown", "unknown"), filter=own)
+    file = map_files.read(path)
+    pipeline = Pipeline(config, kept=map_files.for_team(file, config.robots))
+    steps = offline.run_through(pipeline, events)
+    assert not steps[0].estimates
+    assert {estimate.robot for estimate in steps[-1].estimates} == set(config.robots)
+    expected = known.mean_trajectories()
+    for name, path_found in pipeline.mean_trajectories().items():
+        apart = path_found.poses[-1] - expected[name].poses[-1]
+        assert np.hypot(*apart[:2]) < 0.1
+    if not mapping:
+        map_files.write(tmp_path / "again", file.about, map_files.closed(pipeline))
+        assert (tmp_path / "again").read_bytes() == path.read_bytes()
+
+
+def test_without_a_landmark_nothing_says_where_the_map_is(day):
+    config = replace(day[0], start_poses=("unknown", "unknown"))
+    empty = map_files.closed(Pipeline(day[0]))
+    for kept in (None, empty):
+        with pytest.raises(InputError, match=r"unknown for all robots; give .* or load a map"):
+            Pipeline(config, kept=kept)
+
+
 def test_in_a_loaded_map_no_robot_fixes_where_it_is(day, saved):
     config, _, _ = day
     config = replace(config, start_sigma=(0.3, 0.1))

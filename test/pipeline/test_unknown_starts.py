@@ -75,7 +75,7 @@ def test_what_is_said_of_it(told, ran):
     assert set(levels) == {"place unknown", "consistent"}
     first = {v.level for s in ran.steps for v in s.verdicts if v.robot != second}
     assert first == {"consistent"}
-    assert "drive robot_2 where they have been" in ran.lines[0]
+    assert "drive robot_2 where the map has landmarks" in ran.lines[0]
     (tied,) = [line for line in ran.lines if "is known from now on" in line]
     assert "landmarks of" in tied
     assert "after eight were common" in tied
@@ -126,7 +126,7 @@ def test_unknown_survives_a_file():
 
 def test_all_unknown_is_refused_with_the_remedy():
     with pytest.raises(InputError, match="unknown for all robots; give x, y, yaw of one"):
-        Config(robots=("a", "b"), start_poses=("unknown", "unknown"))
+        Pipeline(Config(robots=("a", "b"), start_poses=("unknown", "unknown")))
 
 
 @pytest.mark.parametrize("bad", ["somewhere", [0.0, 0.0], [0.0, 0.0, "x"], None])
