@@ -166,8 +166,9 @@ def _worker(settings: FilterSettings) -> ThreadPoolExecutor | None:
 def warm_up(settings: FilterSettings) -> State:
     """Compile every kernel or load it from the cache, those of frames that settle as well.
 
-    The state of two robots that `rbpf.two_robots` led to.
+    The state of two robots that `rbpf.two_robots` led to, in a map that they make.
     """
+    settings = replace(settings, mapping=True)
     state = rbpf.warm_up(settings)
     weights = np.full(settings.particles, 1 / settings.particles)
     state.landmarks.mixture(state.landmarks.alive(), weights)

@@ -154,12 +154,15 @@ def test_a_map_is_loaded_and_what_was_begun_is_forgotten(given, tmp_path):
         team.node.close()
 
 
-def test_robots_start_anywhere_in_a_loaded_map(given, tmp_path):
+@pytest.mark.parametrize("mapping", [True, False])
+def test_robots_start_anywhere_in_a_loaded_map(given, tmp_path, mapping):
     """They have a pose once they are found, and do what they do offline."""
     kept = map_files.closed(pipeline_after(STEPS[:60]))
     map_files.write(tmp_path / "a.npz", map_files.about(CONFIG, 1), kept)
-    anywhere = {"start_poses": f"[{', '.join(['.nan'] * 6)}]"}
-    config = replace(CONFIG, start_poses=("unknown", "unknown"))
+    nowhere = f"[{', '.join(['.nan'] * 6)}]"
+    anywhere = {"start_poses": nowhere, "filter.mapping": str(mapping).lower()}
+    own = replace(CONFIG.filter, mapping=mapping)
+    config = replace(CONFIG, start_poses=("unknown", "unknown"), filter=own)
     records = handled(Pipeline(config, keeps_frames=False, kept=kept), STEPS[:60])
     with nodes.ros(*words(given | anywhere | {"map": tmp_path / "a.npz"})):
         team = Team(*map(topics.pose, CONFIG.robots))
@@ -171,7 +174,7 @@ def test_robots_start_anywhere_in_a_loaded_map(given, tmp_path):
         assert first.stamp_ns > records[0].stamp_ns
         heard = wire.decode_estimate(team.listener.heard[topics.pose(robot)][0], robot)
         assert heard.stamp_ns == first.stamp_ns
-    with nodes.ros(*words(given | anywhere)), pytest.raises(InputError, match="or load a map"):
+    with nodes.ros(*words(given | anywhere)), pytest.raises(InputError, match="load a map|load one"):
         fusion.Fusion()
 
 
