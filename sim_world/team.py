@@ -16,20 +16,21 @@ def team_scenario(
     rate_hz: float | None = None,
     laps: int | None = None,
     images: bool = False,
+    start_offset: float | None = None,
 ) -> str:
     """The scenario `name` as YAML, with what the fusion must know about the simulated team in it.
 
     These are the robots' names and true start poses, and where the camera sits. All else in the
     fusion's section stays as it is, unchecked: only the fusion knows what belongs there.
 
-    `robots` and `laps` replace the scenario's. At `rate_hz` frames of each robot in a second a lap
-    takes as long as at the scenario's rate: of more and smaller movements, or fewer and larger.
-    With `images` robots publish pictures whatever the scenario says.
+    `robots`, `laps` and `start_offset` replace the scenario's. At `rate_hz` frames of each robot in
+    a second a lap takes as long as at the scenario's rate: of more and smaller movements, or fewer
+    and larger. With `images` robots publish pictures whatever the scenario says.
     """
     path = scenario_file.find_scenario(name)
     sections = scenario_file.sections(scenario_file.read(path), str(path))
     world = scenario_file.from_mapping(Scenario, sections[SECTION], f"{path}: {SECTION}")
-    wanted: dict[str, float | None] = {"robots": robots, "laps": laps}
+    wanted: dict[str, float | None] = {"robots": robots, "laps": laps, "start_offset": start_offset}
     if rate_hz is not None:
         movements = max(1, round(world.movements * world.period_s * rate_hz))
         wanted |= {"period_s": 1 / rate_hz, "movements": movements}

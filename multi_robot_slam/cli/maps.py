@@ -18,11 +18,12 @@ FILE = "map.npz"
 """Name of the map in the folder of a run."""
 
 app = typer.Typer(
-    help="Maps that were saved: `run` leaves one in map.npz, `run --map` begins with it.",
+    help="Maps that were saved: `run` and `demo` leave one in map.npz, `--map` begins with it.",
     no_args_is_help=True,
 )
 MapArgument = Annotated[
-    Path, typer.Argument(metavar="FILE", help="Map, or the state of a fusion (.npz).")
+    Path,
+    typer.Argument(metavar="FILE", help="Map or state of a fusion (.npz), or the folder of a run."),
 ]
 
 
@@ -34,7 +35,7 @@ def info(file: MapArgument) -> None:
     """
     from multi_robot_slam.pipeline import map_files
 
-    for line in _told(map_files.read(file)):
+    for line in _told(map_files.read(found(file))):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
 
 
@@ -54,13 +55,22 @@ def export(
     from multi_robot_slam.runs import exports
     from multi_robot_slam.runs.text_files import write_map
 
-    held = map_files.read(file)
+    held = map_files.read(found(file))
     landmarks = map_files.for_team(held, held.about["robots"]).landmark_map()
     with folders.new_folder(out) as folder:
         write_map(landmarks, folder / "map.csv")
         exports.write_points(exports.landmark_points(landmarks), folder / "map.ply")
         (folder / "config.yaml").write_text(held.about["config"])
         console.print(f"Everything is in {folder}", markup=False)
+
+
+def found(named: Path) -> Path:
+    """The map that is meant by its file, with or without `.npz`, or by the folder of a run."""
+    places = (named, named / FILE, named.with_name(f"{named.name}.npz"))
+    path = next((place for place in places if place.is_file()), None)
+    if path is None and named.is_dir():
+        raise InputError(f"{named} holds no {FILE}; name the folder that `run` or `demo` left")
+    return path or named
 
 
 def begin(config: "Config", file: Path | None, refine: bool) -> "Pipeline":
@@ -72,7 +82,7 @@ def begin(config: "Config", file: Path | None, refine: bool) -> "Pipeline":
         return Pipeline(config, warn, keeps_frames=refine)
     if refine:
         raise InputError("--refine smooths a run by itself, without the --map; leave out one")
-    kept = map_files.for_team(map_files.read(file), config.robots)
+    kept = map_files.for_team(map_files.read(found(file)), config.robots)
     return Pipeline(config, warn, keeps_frames=False, kept=kept)
 
 

@@ -9,13 +9,14 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from subprocess import Popen
 from typing import NamedTuple
 
 from msg_defs import scenario_file
+from multi_robot_slam.cli import maps
 from sim_world.scenario import SECTION as WORLD_SECTION
 from sim_world.scenario import Scenario
 
@@ -30,15 +31,20 @@ IDLE_PERIODS = 4
 """Silence after which the fusion takes the exploration for over: so long, and so many frames."""
 
 
-def record(folder: Path, scenario: Path, seed: int, speed: float) -> None:
+def record(
+    folder: Path, scenario: Path, seed: int, speed: float, begun_in: Path | None = None
+) -> None:
     """Spawn recorder, fusion, cameras and robots; leave `folder/bag` when the exploration is over.
 
-    `scenario` is the file of all their settings. SIGINT, SIGTERM or a process that fails end all of
+    And the map of it, in `maps.FILE`. `scenario` is the file of all their settings, `begun_in` that
+    of the map to begin with, if there is one. SIGINT, SIGTERM or a process that fails end all of
     them, the recorder last, so that its bag is whole; then the program exits.
     """
     bag = folder / "bag"
     recorder = _Listener("multi_robot_slam.nodes.recorder", bag, truths=1)
-    if failed := _play(recorder, scenario, seed, speed):
+    kept = [f"autosave:={folder.resolve() / maps.FILE}", "autosave_s:=0.0"]
+    kept += [] if begun_in is None else [f"map:={begun_in}"]
+    if failed := _play(recorder, scenario, seed, speed, kept):
         left = f"what was recorded so far is in {bag}" if bag.exists() else "nothing was recorded"
         sys.exit(f"error: {failed}; {left}")
 
@@ -60,8 +66,13 @@ class _Listener(NamedTuple):
     """Subscriptions of it to each topic of the truth."""
 
 
-def _play(listener: _Listener, scenario: Path, seed: int, speed: float) -> str:
-    """Have all of them play the exploration to its end; what went wrong, if anything has."""
+def _play(
+    listener: _Listener, scenario: Path, seed: int, speed: float, kept: Sequence[str] = ()
+) -> str:
+    """Have all of them play the exploration to its end; what went wrong, if anything has.
+
+    `kept` are the fusion's parameters of maps.
+    """
     os.environ.setdefault("ROS_DOMAIN_ID", str(random.randint(1, 101)))
     os.environ.setdefault("RCUTILS_CONSOLE_OUTPUT_FORMAT", "[{severity}] {name}: {message}")
     print(f"ROS_DOMAIN_ID={os.environ['ROS_DOMAIN_ID']} lets other ROS tools listen", flush=True)
@@ -84,7 +95,7 @@ def _play(listener: _Listener, scenario: Path, seed: int, speed: float) -> str:
             names = f"robots:=[{','.join(world.names)}]"
             hearing = start(listener.module, f"out:={listener.out}", names)
             ends = f"stop_after_s:={idle_s}", "subscribers:=1", f"picture_period_s:={period_s}"
-            fusion = start("multi_robot_slam.nodes.fusion", shared, *ends)
+            fusion = start("multi_robot_slam.nodes.fusion", shared, *ends, *kept)
             cameras = [
                 start("multi_robot_slam.nodes.camera", shared, f"only:={robot}", "subscribers:=2")
                 for robot in seeing

@@ -37,27 +37,56 @@ def demo(
             help="Robots send pictures, in which a camera node for each sees the landmarks.",
         ),
     ] = False,
+    unknown_starts: Annotated[
+        bool,
+        typer.Option(
+            "--unknown-starts",
+            help="Nobody tells where robots start, but of the first. Each maps by itself until it "
+            "has seen enough of what others saw; a line says when, and by what.",
+        ),
+    ] = False,
+    map_: Annotated[
+        Path | None,
+        typer.Option(
+            "--map",
+            metavar="FILE",
+            help="Another day: robots start elsewhere in the map of an earlier demo, a run's "
+            "folder or the map.npz in it, and nobody tells where, but of the first.",
+        ),
+    ] = None,
     out: Out = None,
 ) -> None:
     """Simulated robots, fusion and recorder as processes that talk over ROS 2; then the results.
 
     Leaves a bag, the configuration, result.json, trajectories, the map, pictures and report.html,
-    a page to explore them, in runs/<time>, with a link runs/latest.
+    a page to explore them, in runs/<time>, with a link runs/latest. The map is in map.npz, too,
+    for another day:
+
+        multi_robot_slam demo --unknown-starts
+
+        multi_robot_slam demo --map runs/latest/map.npz
     """
     from msg_defs.ros import environment
     from multi_robot_slam import runs
-    from multi_robot_slam.cli import folders, processes, results, simulated
-    from multi_robot_slam.pipeline import offline
+    from multi_robot_slam.cli import folders, maps, processes, results, simulated
+    from multi_robot_slam.pipeline import map_files, offline
 
     cli.require_ros()
     environment.prepare()
     scenario = scenario or ("cameras" if images else "calibrated")
-    world, config = simulated.configure(scenario, robots, seed, images=images)
+    begun_in = None if map_ is None else maps.found(map_).resolve()
+    offset = None
+    if begun_in is not None:
+        map_files.read_about(begun_in)
+        offset = simulated.OTHER_DAY
+    world, config = simulated.configure(scenario, robots, seed, images=images, start_offset=offset)
+    if unknown_starts or begun_in is not None:
+        config = simulated.with_unknown_starts(config)
     if speed is None:
         speed = PICTURES_SPEED if world.images.enabled else LIVE_SPEED
     with folders.new_folder(out) as folder:
         (folder / "scenario.yaml").write_text(simulated.to_yaml(world, config))
-        processes.record(folder, folder / "scenario.yaml", seed, speed)
+        processes.record(folder, folder / "scenario.yaml", seed, speed, begun_in)
         result = replace(offline.load(folder), provenance=runs.here(scenario))
         results.draw(result, results.finish(result, folder), folder)
 

@@ -7,13 +7,17 @@ from msg_defs import scenario_file, topics, wire
 from multi_robot_slam.bags import BagWriter
 from multi_robot_slam.cli.configuration import merged, of_pictures
 from multi_robot_slam.cli.terminal import countdown
-from multi_robot_slam.config import SECTION, Config
+from multi_robot_slam.config import SECTION, UNKNOWN, Config
 from sim_world import messages
 from sim_world.robot import START_NS
 from sim_world.scenario import SECTION as WORLD_SECTION
 from sim_world.scenario import Scenario
 from sim_world.simulator import Simulation
 from sim_world.team import team_scenario
+
+OTHER_DAY = 0.6
+"""Where along the tour robots start that come into a map [share of it]: between where three, four
+or five did the day before."""
 
 
 def configure(
@@ -23,19 +27,26 @@ def configure(
     rate_hz: float | None = None,
     laps: int | None = None,
     images: bool = False,
+    start_offset: float | None = None,
 ) -> tuple[Scenario, Config]:
     """Every setting of both packages for a simulated team.
 
     What is None is the scenario's; `seed` is the filter's. Where robots send pictures, what the
     scenario leaves out is what pictures need. See `team_scenario`.
     """
-    team = team_scenario(scenario, robots, rate_hz, laps, images)
+    team = team_scenario(scenario, robots, rate_hz, laps, images, start_offset)
     world = scenario_file.from_yaml(Scenario, team, WORLD_SECTION, scenario)
     stated = scenario_file.sections(team, scenario)[SECTION]
     if world.images.enabled:
         stated = merged(of_pictures(), stated)
     config = scenario_file.from_mapping(Config, stated, f"{scenario}: {SECTION}")
     return world, replace(config, seed=seed)
+
+
+def with_unknown_starts(config: Config) -> Config:
+    """Nobody tells where the robots start, but of the first one."""
+    first, *others = config.start_poses
+    return replace(config, start_poses=(first, *(UNKNOWN,) * len(others)))
 
 
 def to_yaml(world: Scenario, config: Config) -> str:

@@ -107,7 +107,7 @@ class Fusion(EdgeNode):
         )
         self.create_timer(self._settings.picture_period_s, self._publish_pictures)
         self.every(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics)
-        if self._autosave:
+        if self._autosave and keeping.autosave_s:
             self.every(keeping.autosave_s, self._save_state)
         self.create_service(Trigger, "~/save_map", self._save_map)
         self.create_service(Trigger, "~/load_map", self._load_map)
@@ -302,7 +302,7 @@ class Fusion(EdgeNode):
 
     def _warn(self, text: str) -> None:
         """Tell of a loss; of those that differ in numbers only, one in a while."""
-        kind, now_s = re.sub(r"[\d.]+", "", text), time.monotonic()
+        kind, now_s = re.sub(r"\b[\d.]+", "", text), time.monotonic()
         if now_s - self._warned_s.get(kind, -np.inf) > WARNING_PERIOD_S:
             self._warned_s[kind] = now_s
             self.get_logger().warning(text)

@@ -8,7 +8,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
-from annotated_types import Gt
+from annotated_types import Ge, Gt
 
 from msg_defs.errors import InputError
 from msg_defs.limits import AT_ANY_TIME
@@ -37,7 +37,10 @@ class Keeping:
         "may be written to so often, 10 to 60 MB each time",
     ] = ""
     autosave_s: Annotated[
-        float, Gt(0), "time between two states; what came after the last is lost in a crash [s]"
+        float,
+        Ge(0),
+        "time between two states; what came after the last is lost in a crash [s]; 0: none, only "
+        "the map when the fusion has ended",
     ] = 5.0
     resume_s: Annotated[
         float,

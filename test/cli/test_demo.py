@@ -7,14 +7,17 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from patience import PATIENCE_S
 
 from msg_defs import scenario_file, topics, wire
 from multi_robot_slam.bags import BagReader
 from multi_robot_slam.cli import simulated
+from multi_robot_slam.cli.maps import FILE
 from multi_robot_slam.config import SECTION, Config
 from multi_robot_slam.front_end.settings import DESCRIPTOR_GATE
+from multi_robot_slam.pipeline import map_files
 from sim_world import cli as sim_world_cli
 from sim_world.scenario import SECTION as WORLD_SECTION
 from sim_world.scenario import Scenario
@@ -99,6 +102,28 @@ def test_no_message_is_missing_in_the_bag_or_in_the_steps(start, tmp_path):
     assert config.filter.particles == 20
 
 
+def test_places_that_nobody_told_are_found_also_in_the_map_of_another_day(start, tmp_path):
+    alike = "{robots: 2, movements: 200}"
+    process = start(alike, "--unknown-starts", "--speed", "0")
+    _, said = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, said
+    assert "the place of robot_2 in map is known from now on" in said
+    first, out = tmp_path / "first", tmp_path / "out"
+    out.rename(first)
+    config = scenario_file.from_file(Config, first / "config.yaml", SECTION)
+    assert config.are_known.tolist() == [True, False]
+
+    process = start(alike, "--map", first / "map", "--speed", "0", "--seed", "1")
+    _, said = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, said
+    assert "the place of robot_2 in map is known from now on" in said
+    starts = [(folder / "truth_robot_1.tum").read_text().split()[1:3] for folder in (first, out)]
+    assert starts[0] != starts[1]
+    before, after = (map_files.read(folder / FILE).kept for folder in (first, out))
+    assert np.isin(before.ids, after.ids).mean() > 0.5
+    assert after.observations.sum() > 1.5 * before.observations.sum()
+
+
 def test_a_generated_bag_holds_what_a_recorded_one_does(start, tmp_path, program):
     process = start(SMALL, "--seed", "7", "--speed", "0")
     _, said = process.communicate(timeout=PATIENCE_S)
@@ -171,6 +196,15 @@ def test_bad_scenario_is_one_line_and_leaves_nothing(tmp_path, scenario, told, c
     assert err.startswith("error: ")
     assert told in err
     assert not (tmp_path / "out").exists()
+
+
+def test_a_map_that_is_none_is_refused_before_anything_starts(tmp_path, command):
+    (tmp_path / "empty").mkdir()
+    for named, told in (("no", "no file"), ("empty", "holds no map.npz")):
+        code, _, err = command("demo", "--map", tmp_path / named, "--out", tmp_path / "out")
+        assert (code, err.count("\n")) == (2, 1)
+        assert told in err
+        assert not (tmp_path / "out").exists()
 
 
 def test_a_domain_that_ros_does_not_have_is_refused_before_anything_starts(

@@ -68,6 +68,7 @@ def test_robots_start_anywhere_in_a_map(command, bag, first, tmp_path, mapping):
 def test_a_map_is_described_and_exported(command, first, tmp_path):
     code, told, _ = command("map", "info", first)
     assert code == 0
+    assert command("map", "info", first.parent)[1] == told
     held = arrays(first)
     count = int(held["map/published"].sum())
     assert f"landmarks: {count} published, {len(held['map/ids'])} in all" in told
@@ -85,7 +86,7 @@ def test_what_cannot_be_is_refused(command, bag, first, tmp_path):
     anywhere = ("--set", "start_poses=[unknown, unknown]")
     for words, remedy in (
         (("run", bag, "--out", out, "--map", tmp_path / "no"), "no file"),
-        (("run", bag, "--out", out, "--map", bag), "damaged"),
+        (("run", bag, "--out", out, "--map", bag), "holds no map.npz"),
         (("run", bag, "--out", out, "--map", first, "--refine"), "leave out one"),
         (("run", bag, "--out", out, "--set", "filter.mapping=false"), "no map to localise in"),
         (("run", bag, "--out", out, *anywhere), "or load a map"),
