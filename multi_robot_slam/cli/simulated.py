@@ -7,7 +7,7 @@ from msg_defs import scenario_file, topics, wire
 from multi_robot_slam.bags import BagWriter
 from multi_robot_slam.cli.configuration import merged, of_pictures
 from multi_robot_slam.cli.terminal import countdown
-from multi_robot_slam.config import SECTION, UNKNOWN, Config
+from multi_robot_slam.config import SECTION, UNKNOWN, Config, StartPose
 from sim_world import messages
 from sim_world.robot import START_NS
 from sim_world.scenario import SECTION as WORLD_SECTION
@@ -45,8 +45,8 @@ def configure(
 
 def with_unknown_starts(config: Config) -> Config:
     """Nobody tells where the robots start, but of the first one."""
-    first, *others = config.start_poses
-    return replace(config, start_poses=(first, *(UNKNOWN,) * len(others)))
+    unknown: tuple[StartPose, ...] = (UNKNOWN,) * (len(config.robots) - 1)
+    return replace(config, start_poses=(config.start_poses[0], *unknown))
 
 
 def to_yaml(world: Scenario, config: Config) -> str:
