@@ -45,7 +45,7 @@ def configure(
 
 def with_unknown_starts(config: Config) -> Config:
     """Nobody tells where the robots start, but of the first one."""
-    unknown: tuple[StartPose, ...] = (UNKNOWN,) * (len(config.robots) - 1)
+    unknown: list[StartPose] = [UNKNOWN for _ in config.robots[1:]]
     return replace(config, start_poses=(config.start_poses[0], *unknown))
 
 
