@@ -285,6 +285,26 @@ class Verdict:
 
 
 @dataclass(frozen=True, eq=False)
+class Tied:
+    """Two pieces of the map that have become one."""
+
+    robots: tuple[str, ...]
+    """Of the piece that was turned."""
+    is_in_map: bool
+    """Their place in `map` is known from now on."""
+    pose: np.ndarray
+    """(3,): where its frame lies in that of the other piece: x, y [m], yaw [rad]."""
+    landmarks: int
+    """That agree on it."""
+    places: int
+    """Of these landmarks, far enough apart to be things of their own."""
+    runner_up: int
+    """Places that agree on the best other pose."""
+    seconds: float
+    """Since both pieces had eight landmarks, or all, of those that agree [s]."""
+
+
+@dataclass(frozen=True, eq=False)
 class StepRecord:
     """One step of the filter, for whoever watches it."""
 
@@ -301,6 +321,8 @@ class StepRecord:
     """Effective sample size of the importance weights where the paths were drawn anew, 1 .. M."""
     verdicts: tuple[Verdict, ...] = ()
     """One for each robot that had a frame in this step, in the same order; or none was recorded."""
+    tied: Tied | None = None
+    """What became one after this step."""
 
 
 @dataclass(frozen=True, eq=False)

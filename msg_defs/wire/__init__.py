@@ -61,6 +61,7 @@ from msg_defs.wire.records import (
     encode_diagnostics,
     encode_step,
     encode_text,
+    tied_values,
     verdict_values,
 )
 from msg_defs.wire.replayed import encode_clock, renamed
@@ -117,5 +118,6 @@ __all__ = [
     "packed_image",
     "peek_stamp",
     "renamed",
+    "tied_values",
     "verdict_values",
 ]

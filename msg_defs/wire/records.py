@@ -6,7 +6,7 @@ from typing import Any, NamedTuple, get_args
 import numpy as np
 
 from msg_defs.errors import InputError
-from msg_defs.types import FrameRecord, Level, StepRecord, Verdict
+from msg_defs.types import FrameRecord, Level, StepRecord, Tied, Verdict
 from msg_defs.wire.cdr import Writer
 from msg_defs.wire.messages import (
     DiagnosticArray,
@@ -78,6 +78,7 @@ def encode_step(record: StepRecord) -> bytes:
         "resampled": str(int(record.resampled)),
         "duration_ms": repr(float(record.duration_ms)),
         "rejuvenated": "" if record.rejuvenated is None else repr(float(record.rejuvenated)),
+        **({} if record.tied is None else tied_values(record.tied)),
     }
     step = Status("fusion: step", values, message=f"step {record.step}")
     verdicts = {verdict.robot: verdict for verdict in record.verdicts}
@@ -101,6 +102,7 @@ def decode_step(data: bytes) -> StepRecord:
         duration_ms=_number(values, "duration_ms", float),
         rejuvenated=_number(values, "rejuvenated", float) if values.get("rejuvenated") else None,
         verdicts=tuple(_verdict(status) for status in statuses[1:] if _LEVEL in status.values),
+        tied=_tied(values) if _TIED in values else None,
     )
 
 
@@ -123,6 +125,41 @@ def verdict_values(verdict: Verdict) -> dict[str, str]:
     """The values of a `Status` that hold a verdict."""
     numbers = {f"{_FOUND}{name}": repr(float(x)) for name, x in verdict.numbers.items()}
     return {_LEVEL: verdict.level, _CAUSE: verdict.cause, _REMEDY: verdict.remedy, **numbers}
+
+
+_TIED, _IN_MAP, _POSE = "tied", "tied: is in map", "tied: pose [m, m, rad]"
+_OF_TIE = {
+    "landmarks": "tied: landmarks that agree",
+    "places": "tied: places that agree",
+    "runner_up": "tied: places by another pose",
+    "seconds": "tied: after eight were common [s]",
+}
+"""Field of `Tied` -> key of its number."""
+
+
+def tied_values(tied: Tied) -> dict[str, str]:
+    """The values of a `Status` that hold a tie."""
+    return {
+        _TIED: " ".join(tied.robots),
+        _IN_MAP: str(int(tied.is_in_map)),
+        _POSE: " ".join(repr(float(x)) for x in tied.pose),
+        **{key: repr(getattr(tied, name)) for name, key in _OF_TIE.items()},
+    }
+
+
+def _tied(values: Mapping[str, str]) -> Tied:
+    kinds = {name: float if name == "seconds" else int for name in _OF_TIE}
+    return Tied(
+        robots=tuple(_text(values, _TIED).split()),
+        is_in_map=_number(values, _IN_MAP, _flag),
+        pose=_number(values, _POSE, _pose),
+        **{name: _number(values, key, kinds[name]) for name, key in _OF_TIE.items()},
+    )
+
+
+def _pose(text: str) -> np.ndarray:
+    x, y, yaw = map(float, text.split())
+    return np.array([x, y, yaw])
 
 
 def _judged(status: Status, verdict: Verdict | None) -> Status:

@@ -27,6 +27,9 @@ class Pieces(NamedTuple):
     pairs: np.ndarray = np.empty((0, 2), np.int64)
     """(n, 2) ids of landmarks that are one by the last tie, until smoothing has joined them."""
 
+    last: tuple[tuple[int, int, Vote], ...] = ()
+    """The newest of each two pieces, believed or not, where any landmarks agreed."""
+
     @classmethod
     def of_starts(cls, are_known: np.ndarray) -> "Pieces":
         """Each robot whose start is not among those that `are_known` (K,) is a piece of its own."""
@@ -41,6 +44,16 @@ class Pieces(NamedTuple):
     def are_many(self) -> bool:
         """There is more than one."""
         return len(self.numbers) > 1
+
+    def with_vote(self, first: int, second: int, found: Vote | None) -> "Pieces":
+        """After two pieces have voted."""
+        others = tuple(own for own in self.last if own[:2] != (first, second))
+        return self._replace(last=others if found is None else (*others, (first, second, found)))
+
+    def vote_on(self, robot: int) -> Vote | None:
+        """What the landmarks of the piece of `robot` said last of its place in `map`."""
+        both = (MAP, int(self.of_robots[robot]))
+        return next((found for *pieces, found in self.last if tuple(pieces) == both), None)
 
     @property
     def robots_in_map(self) -> np.ndarray:

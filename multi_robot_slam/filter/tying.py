@@ -63,6 +63,7 @@ def tie(state: State, settings: FilterSettings, rng: np.random.Generator) -> Tie
     pairs = list(combinations(state.pieces.numbers, 2))
     first, second = pairs[state.steps % len(pairs)]
     found, ids = _voted(state, first, second, settings)
+    state.pieces = state.pieces.with_vote(first, second, found)
     state.pieces, agreed = _noted(state.pieces, first, second, found)
     if not agreed or found is None:
         return None
@@ -70,8 +71,11 @@ def tie(state: State, settings: FilterSettings, rng: np.random.Generator) -> Tie
     seconds = _seconds_since(state, ids)
     turn(state, second, found, rng)
     of_robots = np.where(state.pieces.of_robots == second, first, state.pieces.of_robots)
-    kept = tuple(own for own in state.pieces.votes if second not in own[:2])
-    state.pieces = Pieces(of_robots, kept, np.sort(ids, axis=1))
+    kept, last = (
+        tuple(own for own in votes if second not in own[:2])
+        for votes in (state.pieces.votes, state.pieces.last)
+    )
+    state.pieces = Pieces(of_robots, kept, np.sort(ids, axis=1), last)
     _join_landmarks(state, first, second, settings)
     return Tie(tuple(robots.tolist()), first, found, seconds)
 

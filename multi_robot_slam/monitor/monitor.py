@@ -91,7 +91,7 @@ class Monitor:
         for robot in (frame.robot for frame in frames):
             judged = verdict(self._findings, robot, wrong, self._learnt(state, robot))
             is_placed = state.pieces.robots_in_map[robot]
-            told.append(judged if is_placed else with_place_unknown(judged))
+            told.append(judged if is_placed else with_place_unknown(judged, state.pieces, robot))
         return tuple(told)
 
     def _learnt(self, state: State, robot: int) -> learnt_noise.Found:

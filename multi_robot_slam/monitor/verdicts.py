@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from msg_defs.types import Verdict
+from multi_robot_slam.filter.pieces import Pieces
 from multi_robot_slam.models.motion import increment, move, wrap
 from multi_robot_slam.monitor import learnt_noise
 from multi_robot_slam.monitor.alignment import Alignment
@@ -99,8 +100,12 @@ def verdict(
     return replace(told, cause=cause, remedy=remedy)
 
 
-def with_place_unknown(told: Verdict) -> Verdict:
-    """The verdict on a robot whose place in `map` is not known, unless there is worse to say."""
+def with_place_unknown(told: Verdict, pieces: Pieces, robot: int) -> Verdict:
+    """The verdict on a robot whose place in `map` is not known, unless there is worse to say.
+
+    With the numbers of its piece and of the piece's last vote in any case.
+    """
+    told = replace(told, numbers=told.numbers | _of_piece(pieces, robot))
     if told.level != "consistent":
         return told
     name = told.robot
@@ -111,6 +116,17 @@ def with_place_unknown(told: Verdict) -> Verdict:
         "the map",
         remedy=f"drive {name} where the map has landmarks, or give its start pose",
     )
+
+
+def _of_piece(pieces: Pieces, robot: int) -> dict[str, float]:
+    numbers, found = {"piece": float(pieces.of_robots[robot])}, pieces.vote_on(robot)
+    if found is None:
+        return numbers
+    return numbers | {
+        "vote: places that agree": float(found.things),
+        "vote: places by another pose": float(found.runner_up),
+        "vote: poses as good by chance": float(found.chance),
+    }
 
 
 def _judged(

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from msg_defs import wire
-from msg_defs.types import FrameCount, StepRecord, Verdict
+from msg_defs.types import FrameCount, StepRecord, Tied, Verdict
 from multi_robot_slam.pipeline.pipeline import FAILED_STEP
 
 
@@ -36,6 +36,7 @@ class Health:
         """Forget the steps."""
         self.landmarks = 0
         self._verdicts: dict[str, Verdict] = {}
+        self._tied: dict[str, Tied] = {}
         self.step: StepRecord | None = None
         self._frames_told = 0
         self._failed_told = 0
@@ -49,6 +50,8 @@ class Health:
         """A step was done, and so much was lost by then."""
         self.step = step
         self._verdicts |= {verdict.robot: verdict for verdict in step.verdicts}
+        if step.tied is not None:
+            self._tied |= dict.fromkeys(step.tied.robots, step.tied)
         self._forgive(lost)
 
     def progress(self) -> str:
@@ -148,6 +151,7 @@ class Health:
             "keyframes": frames.used,
             **lost,
             **judged,
+            **(wire.tied_values(self._tied[robot]) if robot in self._tied else {}),
         }
         return wire.Status(f"fusion: {robot}", _texts(values), level, message, robot)
 

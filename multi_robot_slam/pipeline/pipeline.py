@@ -33,12 +33,11 @@ from multi_robot_slam.filter.running import ParticleFilter
 from multi_robot_slam.models import motion
 from multi_robot_slam.models.frames import Record, RobotFrame
 from multi_robot_slam.monitor.monitor import Monitor
-from multi_robot_slam.pipeline import estimates, plausibility
+from multi_robot_slam.pipeline import estimates, plausibility, ties
 from multi_robot_slam.pipeline.levels import Levels
 from multi_robot_slam.pipeline.plausibility import Refusal
 from multi_robot_slam.pipeline.records import step_record
 from multi_robot_slam.pipeline.reorder import Reorder
-from multi_robot_slam.pipeline.ties import tied_in
 from multi_robot_slam.pipeline.time_guard import TimeGuard
 from multi_robot_slam.smoothing.noise_factors import NoiseFactors
 from multi_robot_slam.smoothing.odometry_scale import scaled
@@ -272,11 +271,11 @@ class Pipeline:
                 self._tell_of_no_smoothing(frames[0].stamp_ns, reason)
             verdicts = self._monitor.judge(self._particles.state, frames, info, expected)
             self._levels.tell(frames[0].stamp_ns, verdicts)
-            if info.tied is not None:
-                self.warn(f"at {_time(frames[0].stamp_ns)}: {tied_in(self.config, info.tied)}")
             took_ms = (time.perf_counter() - start) * 1e3
             state = self._particles.state
             steps.append(step_record(self.config, state, frames, info, verdicts, took_ms))
+            if (tied := steps[-1].tied) is not None:
+                self.warn(f"at {_time(frames[0].stamp_ns)}: {ties.line(tied)}")
             self._estimates |= {estimate.robot: estimate for estimate in steps[-1].estimates}
         return steps
 

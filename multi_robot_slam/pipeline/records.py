@@ -10,6 +10,7 @@ from multi_robot_slam.filter import rbpf
 from multi_robot_slam.filter.matching import FrameInfo
 from multi_robot_slam.filter.state import State
 from multi_robot_slam.models.frames import RobotFrame
+from multi_robot_slam.pipeline import ties
 from multi_robot_slam.pipeline.estimates import wrapped
 
 
@@ -53,6 +54,7 @@ def step_record(
         rejuvenated=_rejuvenated(info),
         duration_ms=duration_ms,
         verdicts=verdicts,
+        tied=None if info.tied is None else ties.told(config, info.tied),
     )
 
 

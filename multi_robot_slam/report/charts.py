@@ -44,7 +44,7 @@ def _mark_levels(run: Run, found: dict[str, go.Figure], times: Timeline) -> None
         line = {"color": colours(run)[name], "width": 1.2, "dash": "dashdot"}
         for change in own:
             x = float(times.seconds(np.array(change.stamp_ns)))
-            text = change.verdict.level
+            text = change.told
             for chart, told in ((f"robot {name}", text), ("distances", f"{name}: {text}")):
                 if chart in found:
                     across = {"yref": "paper", "y0": 0, "y1": 1}

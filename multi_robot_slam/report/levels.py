@@ -11,7 +11,8 @@ class Change(NamedTuple):
     """The level of a robot is another one from here on."""
 
     stamp_ns: int
-    verdict: Verdict
+    told: str
+    """The level; of a robot whose place was unknown, that it is known."""
 
 
 class Worst(NamedTuple):
@@ -31,9 +32,12 @@ def changes(run: Run) -> dict[str, list[Change]]:
     levels = dict.fromkeys(run.robots, "consistent")
     for step in run.steps:
         for verdict in step.verdicts:
-            if verdict.level != levels[verdict.robot]:
-                found[verdict.robot].append(Change(step.stamp_ns, verdict))
-                levels[verdict.robot] = verdict.level
+            before, now = levels[verdict.robot], verdict.level
+            if now != before:
+                is_placed = (before, now) == ("place unknown", "consistent")
+                told = "place known" if is_placed else now
+                found[verdict.robot].append(Change(step.stamp_ns, told))
+                levels[verdict.robot] = now
     return found
 
 

@@ -12,7 +12,7 @@ from msg_defs.errors import InputError
 from multi_robot_slam.config import SECTION
 from multi_robot_slam.report import charts, innovations, levels, scene, sights, size, slider
 from multi_robot_slam.report.timeline import Timeline, timeline
-from multi_robot_slam.runs import Run, evaluation_table
+from multi_robot_slam.runs import Run, evaluation_table, places
 from multi_robot_slam.runs.evaluation import Figures
 
 FILE = "report.html"
@@ -91,6 +91,7 @@ def page(run: Run, figures: Figures, title: str) -> str:
         number=evaluation_table.number,
         charts=drawn,
         worst=levels.worst(run),
+        placed=places.placed(run.steps),
         seconds=times.seconds,
         matched=matched,
         seen=seen,

@@ -19,6 +19,7 @@ from msg_defs.errors import InputError
 from msg_defs.types import LandmarkMap
 from multi_robot_slam.runs import RobotRun, Run
 from multi_robot_slam.runs.colours import ROBOT_COLOURS
+from multi_robot_slam.runs.places import placed
 from multi_robot_slam.runs.robot_errors import odometry_in_map, robot_errors
 from multi_robot_slam.runs.trajectory_errors import PoseErrors, rmse
 
@@ -47,6 +48,13 @@ _LIVE: Look = {
     "label": "live path",
 }
 _AFTER: Look = {"linestyle": ":", "linewidth": 1.6, "label": "path after the run"}
+_PLACED: Look = {
+    "linestyle": "none",
+    "marker": "*",
+    "markersize": 13,
+    "color": "#222222",
+    "label": "place became known",
+}
 _TRUE_LANDMARK: Look = {
     "linestyle": "none",
     "marker": (8, 2),
@@ -73,6 +81,8 @@ def map_figure(run: Run) -> Figure:
     _draw_landmarks(axes, run.landmarks)
     for colour, robot in zip(cycle(ROBOT_COLOURS), run.robots.values(), strict=False):
         _draw_paths(axes, robot, colour)
+    for name in placed(run.steps):
+        axes.plot(*run.robots[name].online.poses[:1, :2].T, **_PLACED, zorder=8)
     axes.margins(0.03)
     _plain(axes)
     axes.legend(
@@ -97,6 +107,7 @@ def error_figure(run: Run) -> Figure:
         (2, "(c) odometry − truth", {name: robot.odometry for name, robot in errors.items()}),
     ):
         _draw_errors(grid[:, column], series, looks, start_ns)
+        _mark_placed(grid[:, column], run, looks, start_ns)
         grid[0, column].set_title(title + _team_rmse(series), loc="left")
     for axes, label in zip(grid[:, 0], ("x [m]", "y [m]", "θ [rad]"), strict=True):
         axes.set_ylabel(label)
@@ -191,6 +202,8 @@ def _map_legend(run: Run) -> list[Line2D]:
         styles.insert(0, _TRUE_PATH)
     if run.true_landmarks is not None:
         styles.append(_TRUE_LANDMARK)
+    if placed(run.steps):
+        styles.append(_PLACED)
     neutral = [Line2D([], [], **{"color": "#222222", **style}) for style in styles]
     if run.walls is not None:
         neutral.append(Line2D([], [], **_WALL))
@@ -211,6 +224,19 @@ def _draw_errors(
             axes.plot(seconds, errors[:, index], line, color=colour, linewidth=1.3, label=name)
         _plain(axes)
     column[-1].set_xlabel("time [s]")
+
+
+def _mark_placed(
+    column: np.ndarray, run: Run, looks: dict[str, tuple[str, str]], start_ns: int
+) -> None:
+    """A line where the place of a robot in `map` became known."""
+    for name, (stamp_ns, _) in placed(run.steps).items():
+        seconds = (stamp_ns - start_ns) / 1e9
+        for axes in column:
+            axes.axvline(seconds, color=looks[name][0], linestyle=":", linewidth=1.0, zorder=1)
+        text = {"color": looks[name][0], "fontsize": 8, "rotation": 90, "ha": "right", "va": "top"}
+        in_axes = column[0].get_xaxis_transform()
+        column[0].text(seconds, 0.98, f"{name}: place known", transform=in_axes, **text)
 
 
 def _team_rmse(series: dict[str, PoseErrors]) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 
 from msg_defs.types import LandmarkMap
 from multi_robot_slam.models.symmetric import unpack
-from multi_robot_slam.runs import levels
+from multi_robot_slam.runs import levels, places
 from multi_robot_slam.runs.associations import (
     Associations,
     Origins,
@@ -57,6 +57,8 @@ def evaluate(run: Run) -> Figures:
     `association_precision`, `association_recall`: see `association_quality`.
     `worst_level`: what the monitor said at worst (`levels`); of each robot also `level`, at the
     end, and `worst_level_at_s`, `worst_level_cause`, `worst_level_remedy`.
+    `place_known_from_s`, `tied_...` of each robot: since when its place in `map` is known, and by
+    what (`places`).
 
     Of the team alone:
 
@@ -78,6 +80,7 @@ def evaluate(run: Run) -> Figures:
     for index, (name, figures) in enumerate(robots.items()):
         figures |= _frame_figures(run, [name])
         figures |= levels.of_robot(run.steps, name)
+        figures |= places.of_robot(run.config, run.steps, name)
         figures |= _association_figures(observed, origin, observed.robots == index)
     return {
         **team,

@@ -1,9 +1,13 @@
 """Which robot is told to be wrong, and how."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from msg_defs.types import CameraMount
+from multi_robot_slam.filter.pieces import Pieces
+from multi_robot_slam.filter.vote import Vote
 from multi_robot_slam.monitor.alignment import Alignment
 from multi_robot_slam.monitor.evidence import LOG_CAP
 from multi_robot_slam.monitor.in_view import InView
@@ -79,11 +83,31 @@ def test_a_start_that_nobody_told_cannot_be_wrong():
 
 
 def test_a_place_that_is_not_known_is_told_where_nothing_is_worse():
-    told = with_place_unknown(level(team(2), 1))
-    assert (told.level, told.numbers) == ("place unknown", level(team(2), 1).numbers)
+    pieces = Pieces.of_starts(np.array([True, False]))
+    told = with_place_unknown(level(team(2), 1), pieces, 1)
+    assert told.level == "place unknown"
+    assert told.numbers == level(team(2), 1).numbers | {"piece": 2.0}
     assert "place of robot_2 in map is not known yet" in told.cause
     lost = level(team(2, [(1, 1)]), 1)
-    assert with_place_unknown(lost) == lost
+    told = with_place_unknown(lost, pieces, 1)
+    assert replace(told, numbers=lost.numbers) == lost
+
+
+def test_the_last_vote_on_a_place_is_told_believed_or_not():
+    pieces = Pieces.of_starts(np.array([True, False, False]))
+    pieces = pieces.with_vote(0, 2, vote(3)).with_vote(2, 3, vote(4)).with_vote(0, 2, vote(5))
+    told = with_place_unknown(level(team(3), 1), pieces, 1).numbers
+    assert told["vote: places that agree"] == 5
+    assert told["vote: places by another pose"] == 2
+    assert told["vote: poses as good by chance"] == 0.5
+    assert "vote: places that agree" not in with_place_unknown(level(team(3), 2), pieces, 2).numbers
+    silent = pieces.with_vote(0, 2, None)
+    assert "vote: places that agree" not in with_place_unknown(level(team(3), 1), silent, 1).numbers
+
+
+def vote(places):
+    nothing = np.zeros((0, 2), int)
+    return Vote(np.zeros(3), np.eye(3), nothing, places, 2, np.zeros(2), 0.5)
 
 
 def test_what_the_other_sees_is_turned_round():

@@ -26,6 +26,7 @@ from msg_defs.types import (
     PoseSample,
     Sightings,
     StepRecord,
+    Tied,
     Trajectory,
     Verdict,
     Walls,
@@ -120,6 +121,13 @@ def step_record():
         Verdict(ROBOT, "start wrong", "off by 0.3 m", "measure it", {"offset [m]": 0.1 + 0.2}),
     )
     return StepRecord(STAMP, 7, frames, (), 0.1 + 0.2, True, 1 / 3, verdicts=verdicts)
+
+
+def ties():
+    counts = st.integers(0, 1000)
+    robots = st.sampled_from([(ROBOT,), (ROBOT, "robot_1")])
+    pose = hnp.arrays(np.float64, 3, elements=finite)
+    return st.builds(Tied, robots, st.booleans(), pose, counts, counts, counts, finite)
 
 
 def encode_odometry(sample):
@@ -299,6 +307,7 @@ class TestRoundTrip:
         written = StepRecord(
             *(STAMP, 3, (frame, frame_record("robot_1")), (), effective, resampled, duration),
             verdicts=(verdict,),
+            tied=data.draw(st.none() | ties()),
         )
         read = wire.decode_step(wire.encode_step(written))
         assert_identical(read, written)
@@ -331,6 +340,24 @@ class TestRoundTrip:
         assert [len(frame.others) for frame in read.frames] == [0, 0]
         for ours, theirs in zip(read.frames, written.frames, strict=True):
             assert_identical(ours.landmarks, theirs.landmarks)
+
+    @pytest.mark.parametrize(
+        ("key", "value"),
+        [
+            ("tied: pose [m, m, rad]", "1 2"),
+            ("tied: is in map", "2"),
+            ("tied: places that agree", "x"),
+        ],
+    )
+    def test_a_tie_that_is_none_is_refused(self, key, value):
+        def broken(message):
+            for pair in message.status[0].values:
+                pair.value = value if pair.key == key else pair.value
+
+        tied = Tied((ROBOT,), True, np.zeros(3), 8, 6, 2, 0.5)
+        data = wire.encode_step(replace(step_record(), tied=tied))
+        with pytest.raises(InputError, match=re.escape(f"{key} = '{value}'")):
+            wire.decode_step(changed(data, topics.STEPS.type, broken))
 
     def test_step_leaves_out_the_estimates(self):
         estimate = Estimate(ROBOT, STAMP, np.zeros(3), np.eye(3))

@@ -8,7 +8,7 @@ import pytest
 from helpers import fake_run
 
 from msg_defs import wire
-from msg_defs.types import FrameCount, Verdict
+from msg_defs.types import FrameCount, Tied, Verdict
 from multi_robot_slam.nodes.health import Health
 from multi_robot_slam.pipeline.pipeline import FAILED_STEP
 from multi_robot_slam.runs import estimates
@@ -148,3 +148,17 @@ def test_a_robots_level_is_that_of_its_verdict_with_cause_remedy_and_numbers():
     one.start_over()
     statuses = one.statuses(0, 0, Counter(), {}, NO_FRAMES, NOTHING_LOST)
     assert {status.level for status in statuses} == {wire.OK}
+
+
+def test_what_told_the_place_of_a_robot_is_told_from_then_on():
+    one, _ = health()
+    tied = Tied(("robot_2",), True, np.array([1.0, 2.0, 0.5]), 9, 7, 2, 1.5)
+    one.note(replace(STEP, tied=tied), 0)
+    one.note(STEP, 0)
+    _, first, second = one.statuses(0, 0, Counter(), {}, NO_FRAMES, NOTHING_LOST)
+    assert not any(key.startswith("tied") for key in first.values)
+    assert second.values["tied: pose [m, m, rad]"] == "1.0 2.0 0.5"
+    assert second.values["tied: places that agree"] == "7"
+    one.start_over()
+    *_, second = one.statuses(0, 0, Counter(), {}, NO_FRAMES, NOTHING_LOST)
+    assert not any(key.startswith("tied") for key in second.values)

@@ -10,6 +10,7 @@ from msg_defs.errors import InputError
 from msg_defs.types import PoseSample
 from multi_robot_slam import runs
 from multi_robot_slam.config import SECTION, Config
+from multi_robot_slam.filter.vote import FALSE_RATE
 from multi_robot_slam.pipeline import offline, refinement
 from multi_robot_slam.pipeline.pipeline import Pipeline
 from multi_robot_slam.runs.trajectory_errors import at
@@ -81,6 +82,27 @@ def test_what_is_said_of_it(told, ran):
     assert "after eight were common" in tied
     figures = runs.evaluate(ran.run)
     assert figures["worst_level"] == "place unknown"
+    (own,) = [step for step in ran.steps if step.tied is not None]
+    assert own.tied.robots == (second,)
+    assert own.tied.is_in_map
+    in_words = f"by {own.tied.landmarks} landmarks of {own.tied.places} places that agree, "
+    assert in_words in tied
+    robots = figures["robots"]
+    assert robots[second]["place_known_from_s"] == (own.stamp_ns - ran.steps[0].stamp_ns) / 1e9
+    assert robots[second]["tied_places"] == own.tied.places >= 3
+    assert robots["robot_1"]["place_known_from_s"] == 0
+    assert robots["robot_1"]["tied_places"] is None
+
+
+def test_what_the_last_vote_said_is_among_its_numbers(told, ran):
+    second = told.config.robots[1]
+    said = [v for s in ran.steps for v in s.verdicts if v.robot == second]
+    unknown = [v.numbers for v in said if v.level == "place unknown"]
+    assert {numbers["piece"] for numbers in unknown} == {2.0}
+    places = [numbers.get("vote: places that agree", 0.0) for numbers in unknown]
+    assert places[-1] > places[0]
+    assert unknown[-1]["vote: poses as good by chance"] <= FALSE_RATE
+    assert not any("piece" in v.numbers for v in said if v.level != "place unknown")
 
 
 def test_the_run_is_refined_with_its_whole_past(told, ran):
@@ -102,7 +124,9 @@ def test_a_robot_that_is_never_tied_in_disturbs_nothing(told):
     assert set(ran.pipeline.trajectories()) == set(ran.pipeline.mean_trajectories()) == {first}
     assert set(ran.run.landmarks.robots.tolist()) == {1}
     assert {record.robot for record, _ in ran.pipeline.lineage()} == {0}
-    assert runs.evaluate(ran.run)["worst_level"] == "place unknown"
+    figures = runs.evaluate(ran.run)
+    assert figures["worst_level"] == "place unknown"
+    assert figures["robots"][second]["place_known_from_s"] is None
     run = refinement.complete(ran.run, ran.pipeline, with_refined=True, with_yardstick=True)
     assert not run.warnings
     assert not len(run.robots[second].refined.poses)

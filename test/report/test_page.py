@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from msg_defs import wire
-from msg_defs.types import CameraInfo, Estimate, Image, ObservationSet, Verdict
+from msg_defs.types import CameraInfo, Estimate, Image, ObservationSet, Tied, Verdict
 from multi_robot_slam import runs
 from multi_robot_slam.report import (
     charts,
@@ -258,7 +258,7 @@ def test_levels_change_where_they_differ_and_the_worst_is_told(said):
     run = judged(said)
     changes = levels.changes(run)
     assert changes["robot_2"] == []
-    told = [(change.stamp_ns, change.verdict.level) for change in changes["robot_1"]]
+    told = [(change.stamp_ns, change.told) for change in changes["robot_1"]]
     stamps = [step.stamp_ns for step in run.steps]
     before = [FINE, *said[:-1]]
     rows = [n for n, level in enumerate(said) if level != before[n]]
@@ -304,6 +304,29 @@ def test_changes_of_level_are_marked_in_the_charts_of_errors():
     ]
     assert not found["robot robot_2"].layout.shapes
     assert len(found["effective"].layout.shapes) == 1
+
+
+def tied_in(said, at):
+    """A run of two robots, the first in a place that is unknown until step `at`."""
+    run = judged(said)
+    tied = Tied(("robot_1",), True, np.zeros(3), 9, 7, 2, 1.5)
+    steps = [replace(s, tied=tied if row == at else None) for row, s in enumerate(run.steps)]
+    return replace(run, steps=steps)
+
+
+def test_until_when_a_place_was_unknown_is_told_and_marked_and_nobody_is_alarmed():
+    run = tied_in(["place unknown", "place unknown", FINE, NOISY], 2)
+    found = charts.charts(run, timeline.timeline(run))
+    marks = [shape.label.text for shape in found["robot robot_1"].layout.shapes]
+    assert marks == ["place unknown", "place known", NOISY]
+    run = tied_in(["place unknown", "place unknown", FINE], 2)
+    shown = page_of(run)
+    banner = shown[shown.index("What the monitor says") : shown.index('aria-label="Figures"')]
+    assert 'class="verdict known"' in banner
+    assert "until 0.2 s, then known" in banner
+    assert "by 9 landmarks of 7 places that agree, where 2 do" in banner
+    assert "Remedy" not in banner
+    assert "Remedy: remedy at 2" in page_of(judged(["place unknown"] * 3))
 
 
 def matched(values, others=()):

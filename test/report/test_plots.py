@@ -8,7 +8,7 @@ from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.image import imread
 
 from msg_defs.errors import InputError
-from msg_defs.types import Trajectory
+from msg_defs.types import Tied, Trajectory
 from multi_robot_slam.report import plots
 from multi_robot_slam.runs import Run
 from test.helpers import fake_landmarks, fake_run, moved
@@ -48,6 +48,24 @@ def test_map_shows_paths_of_each_robot_in_its_colour():
     assert [line.get_linestyle() for line in shown["true path"]] == ["-"] * 3
     assert [line.get_linestyle() for line in shown["odometry"]] == ["--"] * 3
     assert [line.get_marker() for line in shown["live path"]] == ["s"] * 3
+
+
+def test_where_and_when_a_place_became_known_is_marked():
+    run = fake_run(robots=2, steps=5)
+    tied = Tied(("robot_2",), True, np.zeros(3), 9, 7, 2, 1.5)
+    steps = [replace(s, tied=tied if row == 3 else None) for row, s in enumerate(run.steps)]
+    marked = replace(run, steps=steps)
+    (axes,) = plots.map_figure(marked).axes
+    star, in_legend = (line for line in lines(axes, plots._PLACED)), legend_texts(axes)
+    first = run.robots["robot_2"].online.poses[0, :2]
+    np.testing.assert_allclose([line.get_xydata()[0] for line in star], [first])
+    assert plots._PLACED["label"] in in_legend
+    since_s = (steps[3].stamp_ns - steps[0].stamp_ns) / 1e9
+    axes = plots.error_figure(marked).axes[0]
+    assert since_s in [line.get_xdata()[0] for line in axes.get_lines()]
+    assert [text.get_text() for text in axes.texts] == ["robot_2: place known"]
+    assert plots._PLACED["label"] not in legend_texts(plots.map_figure(run).axes[0])
+    assert not plots.error_figure(run).axes[0].texts
 
 
 def test_the_main_line_of_the_map_is_what_was_published():

@@ -43,6 +43,8 @@ ROBOT_KEYS = PATH_KEYS | {
     *("frames", "keyframes", "worst_level"),
 }
 LEVEL_KEYS = {"level", "worst_level_at_s", "worst_level_cause", "worst_level_remedy"}
+PLACE_KEYS = {"place_known_from_s"}
+PLACE_KEYS |= {f"tied_{what}" for what in ("landmarks", "places", "runner_up", "after_s")}
 RESULT_KEYS = ROBOT_KEYS | {
     "landmark_nees",
     "map_rmse_m",
@@ -445,7 +447,10 @@ def test_figures_are_null_without_truth():
     known |= {"step_ms_mean", "step_ms_p99", "step_ms_max"}
     for key in RESULT_KEYS - {"robots", "dropped"}:
         assert (result[key] is not None) == (key in known), key
-    assert result["robots"]["robot_1"] == dict.fromkeys(ROBOT_KEYS | LEVEL_KEYS)
+    assert result["robots"]["robot_1"] == {
+        **dict.fromkeys(ROBOT_KEYS | LEVEL_KEYS | PLACE_KEYS),
+        "place_known_from_s": 0.0,
+    }
 
 
 def test_robot_that_never_spoke_has_no_figures():
@@ -463,7 +468,8 @@ def test_keys_are_fixed_and_values_are_json():
     result = evaluate(run)
     assert result.keys() == RESULT_KEYS
     assert list(result["robots"]) == list(run.robots)
-    assert all(figures.keys() == ROBOT_KEYS | LEVEL_KEYS for figures in result["robots"].values())
+    own = ROBOT_KEYS | LEVEL_KEYS | PLACE_KEYS
+    assert all(figures.keys() == own for figures in result["robots"].values())
     assert json.loads(json.dumps(result, allow_nan=False)) == result
 
 
