@@ -19,7 +19,7 @@ setup(
         ("lib/sim_world", ["scripts/robots"]),
         (
             "lib/multi_robot_slam",
-            ["scripts/camera", "scripts/fusion", "scripts/record", "scripts/replay"],
+            [f"scripts/{name}" for name in ("camera", "fusion", "record", "replay", "watch")],
         ),
     ],
 )

@@ -3,7 +3,7 @@
 import typer
 
 from msg_defs import cli
-from multi_robot_slam.cli import convert, judge, landmarks, maps, nodes, run, study
+from multi_robot_slam.cli import convert, judge, landmarks, maps, nodes, run, study, watch
 
 app = typer.Typer(
     help="Multi-robot visual SLAM: one landmark map and all robots' paths.",
@@ -15,6 +15,7 @@ for verb in (*verbs, judge.export):
     app.command()(verb)
 app.add_typer(maps.app, name="map")
 app.add_typer(convert.app, name="convert")
+app.command(context_settings=cli.PASS_ON)(watch.watch)
 for node in (nodes.camera, nodes.fusion, nodes.record, nodes.replay):
     app.command(context_settings=cli.PASS_ON, add_help_option=False)(node)
 app.add_typer(study.app, name="study")

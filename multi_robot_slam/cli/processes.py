@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 from msg_defs import scenario_file
 from multi_robot_slam.cli import maps
+from multi_robot_slam.watch.address import Serving, free
 from sim_world.scenario import SECTION as WORLD_SECTION
 from sim_world.scenario import Scenario
 
@@ -56,6 +57,19 @@ def clock(arrivals: Path, scenario: Path, seed: int) -> None:
         sys.exit(f"error: {failed}")
 
 
+@contextmanager
+def watching() -> Iterator[None]:
+    """Serve a page of the fusion to come while the block runs, and print where."""
+    _choose_domain()
+    address = free(Serving())
+    page = _spawn("multi_robot_slam.nodes.watch", f"host:={address.host}", f"port:={address.port}")
+    print(f"Watch it at {address}", flush=True)
+    try:
+        yield
+    finally:
+        _end_by([page], time.monotonic() + LISTENER_S)
+
+
 class _Listener(NamedTuple):
     """The node that hears robots and fusion."""
 
@@ -73,8 +87,7 @@ def _play(
 
     `kept` are the fusion's parameters of maps.
     """
-    os.environ.setdefault("ROS_DOMAIN_ID", str(random.randint(1, 101)))
-    os.environ.setdefault("RCUTILS_CONSOLE_OUTPUT_FORMAT", "[{severity}] {name}: {message}")
+    _choose_domain()
     print(f"ROS_DOMAIN_ID={os.environ['ROS_DOMAIN_ID']} lets other ROS tools listen", flush=True)
     world = scenario_file.from_file(Scenario, scenario, WORLD_SECTION)
     idle_s = max(IDLE_S, IDLE_PERIODS * world.period_s / speed if speed else 0.0)
@@ -105,6 +118,12 @@ def _play(
             return _wait(robots, [fusion, *needed], stops) or _wait(fusion, needed, stops)
         finally:
             _end(processes)
+
+
+def _choose_domain() -> None:
+    """Have all processes talk among themselves, where the user has not said otherwise."""
+    os.environ.setdefault("ROS_DOMAIN_ID", str(random.randint(1, 101)))
+    os.environ.setdefault("RCUTILS_CONSOLE_OUTPUT_FORMAT", "[{severity}] {name}: {message}")
 
 
 @contextmanager

@@ -1,5 +1,6 @@
 """`demo` and `run`: a new run, from simulated robots or from a bag."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
@@ -54,6 +55,9 @@ def demo(
             "folder or the map.npz in it, and nobody tells where, but of the first.",
         ),
     ] = None,
+    watch: Annotated[
+        bool, typer.Option(help="Serve a page to watch it in the browser, until the demo ends.")
+    ] = True,
     out: Out = None,
 ) -> None:
     """Simulated robots, fusion and recorder as processes that talk over ROS 2; then the results.
@@ -86,9 +90,10 @@ def demo(
         speed = PICTURES_SPEED if world.images.enabled else LIVE_SPEED
     with folders.new_folder(out) as folder:
         (folder / "scenario.yaml").write_text(simulated.to_yaml(world, config))
-        processes.record(folder, folder / "scenario.yaml", seed, speed, begun_in)
-        result = replace(offline.load(folder), provenance=runs.here(scenario))
-        results.draw(result, results.finish(result, folder), folder)
+        with processes.watching() if watch else nullcontext():
+            processes.record(folder, folder / "scenario.yaml", seed, speed, begun_in)
+            result = replace(offline.load(folder), provenance=runs.here(scenario))
+            results.draw(result, results.finish(result, folder), folder)
 
 
 def run(

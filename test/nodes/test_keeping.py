@@ -174,7 +174,7 @@ def test_robots_start_anywhere_in_a_loaded_map(given, tmp_path, mapping):
         assert first.stamp_ns > records[0].stamp_ns
         heard = wire.decode_estimate(team.listener.heard[topics.pose(robot)][0], robot)
         assert heard.stamp_ns == first.stamp_ns
-    with nodes.ros(*words(given | anywhere)), pytest.raises(InputError, match="load a map|load one"):
+    with nodes.ros(*words(given | anywhere)), pytest.raises(InputError, match="load "):
         fusion.Fusion()
 
 

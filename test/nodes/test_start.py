@@ -14,6 +14,7 @@ NODES = (
     "multi_robot_slam.nodes.fusion",
     "multi_robot_slam.nodes.recorder",
     "multi_robot_slam.nodes.replay",
+    "multi_robot_slam.nodes.watch",
     "sim_world.robots",
 )
 

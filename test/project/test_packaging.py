@@ -21,6 +21,7 @@ EXECUTABLES = [
     ("multi_robot_slam", "fusion"),
     ("multi_robot_slam", "record"),
     ("multi_robot_slam", "replay"),
+    ("multi_robot_slam", "watch"),
 ]
 NEED_NOTHING = [each for each in EXECUTABLES if each[1] != "replay"]
 """Nodes that run without parameters; a replay needs a bag."""

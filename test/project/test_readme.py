@@ -3,6 +3,7 @@
 import re
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -73,6 +74,21 @@ def run(words):
         Path(output).write_text(result.stdout)
 
 
+def serve(words):
+    """Run a command until it has said where its page is, and end it as Ctrl-C does."""
+    program, *arguments = words
+    command = [sys.executable, "-m", f"{program}.cli", *arguments]
+    pipe = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+    with subprocess.Popen(command, **pipe) as process:
+        said = []
+        for line in process.stdout:
+            said.append(line)
+            if "http://127.0.0.1:" in line:
+                process.send_signal(signal.SIGINT)
+        assert process.wait(PATIENCE_S) == 0, "".join(said)
+        assert "http://127.0.0.1:" in "".join(said)
+
+
 def in_place_of_nothing(bag):
     """What a recorder would have left that had heard a team."""
     shutil.rmtree(bag)
@@ -93,6 +109,8 @@ def test_every_command_works_as_shown(folder, ros_domain_id):
             subprocess.run(["make", "-n", verb], cwd=ROOT, check=True, capture_output=True)
         elif key in QUICK:
             run([program, *arguments])
+        elif verb == "watch":
+            serve([program, *arguments])
         elif key in LONG or (program, verb) in LONG:
             options = [word for word in arguments if word.startswith("--")]
             named = arguments[: 2 if verb in GROUPS else 1]
