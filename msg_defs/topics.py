@@ -16,6 +16,9 @@ SENSOR = "sensor"
 """Best effort, depth 1: only the newest counts."""
 
 MAP_FRAME = "map"
+PIECE_FRAME = "piece"
+"""Of landmarks whose place in `map` is not known: a frame for each piece, which /tf does not have,
+so that nobody draws them in `map` by mistake."""
 CAMERA_FRAME = "{robot}/camera_left_optical"
 """Where a robot's clouds are, by default."""
 
@@ -32,6 +35,7 @@ GROUND_TRUTH_LANDMARKS = Topic("ground_truth/landmarks", "sensor_msgs/msg/PointC
 GROUND_TRUTH_WALLS = Topic("ground_truth/walls", "visualization_msgs/msg/Marker", LATCHED)
 MAP_LANDMARKS = Topic("map/landmarks", "sensor_msgs/msg/PointCloud2", LATCHED)
 REFINED_LANDMARKS = Topic("map/refined_landmarks", "sensor_msgs/msg/PointCloud2", LATCHED)
+PIECES = Topic("fusion/pieces", "sensor_msgs/msg/PointCloud2", LATCHED)
 MAP_MARKERS = Topic("map/markers", "visualization_msgs/msg/MarkerArray", LATCHED)
 STEPS = Topic("fusion/steps", "diagnostic_msgs/msg/DiagnosticArray")
 FUSION_CONFIG = Topic("fusion/config", "std_msgs/msg/String", LATCHED)
@@ -114,7 +118,7 @@ def particles(robot: str) -> Topic:
 
 def fusion_outputs(robots: Iterable[str]) -> list[Topic]:
     """Everything the fusion of the team `robots` publishes."""
-    singles = [FUSION_CONFIG, STEPS, MAP_LANDMARKS, MAP_MARKERS, DIAGNOSTICS, TF]
+    singles = [FUSION_CONFIG, STEPS, MAP_LANDMARKS, PIECES, MAP_MARKERS, DIAGNOSTICS, TF]
     kinds = (pose, mean_pose, path, particles)
     return singles + [kind(robot) for robot in robots for kind in kinds]
 

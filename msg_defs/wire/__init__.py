@@ -12,10 +12,12 @@ from msg_defs.wire.clouds import (
     decode_map,
     decode_observation_truth,
     decode_observations,
+    decode_pieces,
     decode_sightings,
     encode_map,
     encode_observation_truth,
     encode_observations,
+    encode_pieces,
     encode_sightings,
 )
 from msg_defs.wire.estimates import (
@@ -86,6 +88,7 @@ __all__ = [
     "decode_observations",
     "decode_particles",
     "decode_path",
+    "decode_pieces",
     "decode_pose",
     "decode_poses",
     "decode_sightings",
@@ -106,6 +109,7 @@ __all__ = [
     "encode_packed",
     "encode_particles",
     "encode_path",
+    "encode_pieces",
     "encode_pose",
     "encode_sightings",
     "encode_step",

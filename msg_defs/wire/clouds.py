@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from msg_defs.errors import InputError
-from msg_defs.topics import CAMERA_FRAME, MAP_FRAME, camera_frame
+from msg_defs.topics import CAMERA_FRAME, MAP_FRAME, PIECE_FRAME, camera_frame
 from msg_defs.types import (
     DESCRIPTOR_SIZE,
     LandmarkMap,
@@ -66,6 +66,8 @@ _MAP = (
     _Column("robots", 1, (_UINT32,)),
     _Column("descriptor", DESCRIPTOR_SIZE),
 )
+
+_PIECES = (*_MAP, _Column("piece", 1, (_UINT32,)))
 
 _UINT8_DESCRIPTOR_SCALE = np.float32(1 / 512)
 """SIFT as bytes is 512 times the unit vector."""
@@ -148,7 +150,11 @@ def decode_observation_truth(data: bytes, robot: str) -> ObservationTruth:
 
 def encode_map(landmarks: LandmarkMap, stamp_ns: int) -> bytes:
     """PointCloud2 in `map`."""
-    columns = {
+    return _encode_cloud(_MAP, _map_columns(landmarks), stamp_ns, MAP_FRAME)
+
+
+def _map_columns(landmarks: LandmarkMap) -> dict[str, np.ndarray]:
+    return {
         **_position_columns(landmarks.positions),
         "covariance": landmarks.covariances,
         "id": landmarks.ids,
@@ -156,13 +162,29 @@ def encode_map(landmarks: LandmarkMap, stamp_ns: int) -> bytes:
         "robots": landmarks.robots,
         "descriptor": landmarks.descriptors,
     }
-    return _encode_cloud(_MAP, columns, stamp_ns, MAP_FRAME)
+
+
+def encode_pieces(landmarks: LandmarkMap, pieces: np.ndarray, stamp_ns: int) -> bytes:
+    """PointCloud2 of landmarks, each in the frame of its piece, whose numbers are `pieces` (N,)."""
+    columns = {**_map_columns(landmarks), "piece": pieces.astype(np.uint32)}
+    return _encode_cloud(_PIECES, columns, stamp_ns, PIECE_FRAME)
+
+
+def decode_pieces(data: bytes) -> tuple[LandmarkMap, np.ndarray]:
+    """The landmarks, and the pieces (N,) uint32 that they belong to."""
+    what = "landmarks of pieces"
+    _, columns = _decode_cloud(data, _PIECES, PIECE_FRAME, what)
+    return _map_in(columns, what), columns["piece"]
 
 
 def decode_map(data: bytes) -> LandmarkMap:
     """A covariance is positive definite, or zero as in a true map."""
     what = "landmark map"
     _, columns = _decode_cloud(data, _MAP, MAP_FRAME, what)
+    return _map_in(columns, what)
+
+
+def _map_in(columns: dict[str, np.ndarray], what: str) -> LandmarkMap:
     covariances = columns["covariance"]
     definite = _is_definite(covariances) | (covariances == 0).all(axis=1)
     _require_definite(definite, covariances, what)
@@ -226,7 +248,7 @@ def _layout(table: tuple[_Column, ...]) -> tuple[np.dtype, list, bytes]:
     return dtype, fields, stated.done()[START:]
 
 
-_TABLES: tuple[tuple[_Column, ...], ...] = (_OBSERVATION, _SIGHTINGS, _TRUTH, _MAP)
+_TABLES: tuple[tuple[_Column, ...], ...] = (_OBSERVATION, _SIGHTINGS, _TRUTH, _MAP, _PIECES)
 _LAYOUTS = {table: _layout(table) for table in _TABLES}
 
 
@@ -240,7 +262,7 @@ def _decode_cloud(
     """
     cloud = _plain_cloud(data, table) or _general_cloud(data, what)
     if frame_id:
-        setting = "" if frame_id == MAP_FRAME else "camera_frame"
+        setting = "" if frame_id in (MAP_FRAME, PIECE_FRAME) else "camera_frame"
         require_frame(cloud.frame_id, (frame_id,), what, setting=setting)
     stamp_ns = stamp_in(cloud.seconds, cloud.nanoseconds, what)
     fields = {field.name: field for field in cloud.fields}

@@ -24,6 +24,7 @@ class Outputs:
             node.get_logger().info("no /tf: tf2_msgs is not installed; it comes with ROS")
         wanted = topics.fusion_outputs(config.robots)
         self._config = config
+        self._has_pieces = False
         self._publishers = {
             topic: publisher(node, topic) for topic in wanted if wants_tf or topic != topics.TF
         }
@@ -70,12 +71,20 @@ class Outputs:
         if not are_whole:
             paths = {robot: thinned(path) for robot, path in paths.items()}
         self._publish(topics.MAP_LANDMARKS, wire.encode_map(landmarks, stamp_ns))
+        self._pieces(stamp_ns, pipeline)
         self._publish(topics.MAP_MARKERS, wire.encode_markers(landmarks, paths, stamp_ns))
         for robot, path in paths.items():
             particles = pipeline.particles(robot)
             self._publish(topics.path(robot), wire.encode_path(path, stamp_ns))
             self._publish(topics.particles(robot), wire.encode_particles(particles, stamp_ns))
         return len(landmarks.ids)
+
+    def _pieces(self, stamp_ns: int, pipeline: Pipeline) -> None:
+        """Publish what is not in the map, as long as there is something, and then that it is."""
+        landmarks, pieces = pipeline.unplaced()
+        if len(pieces) or self._has_pieces:
+            self._publish(topics.PIECES, wire.encode_pieces(landmarks, pieces, stamp_ns))
+        self._has_pieces = bool(len(pieces))
 
     def diagnostics(self, stamp_ns: int, statuses: list[wire.Status]) -> None:
         """Publish how the fusion is."""

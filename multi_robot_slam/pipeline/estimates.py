@@ -28,6 +28,31 @@ def landmark_map(state: State, config: Config) -> LandmarkMap:
     if config.filter.existence.is_on:
         kept = are_there(state, lineage, columns, values, config.filter)
         columns, values = columns[kept], values[kept]
+    return _map_of(state, config, columns, values, lineage)
+
+
+def unplaced(state: State, config: Config) -> tuple[LandmarkMap, np.ndarray]:
+    """What the best particle has seen in pieces whose place in `map` is not known.
+
+    Each landmark in the frame of its piece, and the pieces (N,); whether it is there is not asked.
+    """
+    landmarks, best = state.landmarks, rbpf.best_particle(state)
+    columns, values = landmarks.of_particle(best)
+    is_apart = landmarks.pieces[columns] != MAP
+    columns, values = columns[is_apart], values[is_apart]
+    lineage = list(state.history.lineage(best))[::-1]
+    return _map_of(state, config, columns, values, lineage), landmarks.pieces[columns]
+
+
+def _map_of(
+    state: State,
+    config: Config,
+    columns: np.ndarray,
+    values: np.ndarray,
+    lineage: Sequence[tuple[Record, int]],
+) -> LandmarkMap:
+    """Landmarks by their `columns` and the `values` (N, 9) of the particle with that `lineage`."""
+    landmarks = state.landmarks
     if config.publishes_mean:
         values = landmarks.mixture(columns, resampling.normalise(state.log_weights))
     ids = landmarks.ids[columns]

@@ -202,6 +202,10 @@ class Pipeline:
             return self._loaded.landmark_map()
         return estimates.landmark_map(self._particles.state, self.config)
 
+    def unplaced(self) -> tuple[LandmarkMap, np.ndarray]:
+        """Landmarks whose place in `map` is not known, in the frames of their pieces (N,)."""
+        return estimates.unplaced(self._particles.state, self.config)
+
     def closing(self) -> Callable[[], KeptMap]:
         """What makes the map to keep of all steps so far, elsewhere; it changes nothing here.
 

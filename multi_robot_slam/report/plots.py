@@ -52,7 +52,6 @@ _PLACED: Look = {
     "linestyle": "none",
     "marker": "*",
     "markersize": 13,
-    "color": "#222222",
     "label": "place became known",
 }
 _TRUE_LANDMARK: Look = {
@@ -79,10 +78,12 @@ def map_figure(run: Run) -> Figure:
     axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
     _draw_world(axes, run)
     _draw_landmarks(axes, run.landmarks)
-    for colour, robot in zip(cycle(ROBOT_COLOURS), run.robots.values(), strict=False):
+    known = placed(run.steps)
+    for colour, (name, robot) in zip(cycle(ROBOT_COLOURS), run.robots.items(), strict=False):
         _draw_paths(axes, robot, colour)
-    for name in placed(run.steps):
-        axes.plot(*run.robots[name].online.poses[:1, :2].T, **_PLACED, zorder=8)
+        if name in known:
+            look = {**_PLACED, "color": colour}
+            axes.plot(*robot.online.poses[:1, :2].T, **look, zorder=8)
     axes.margins(0.03)
     _plain(axes)
     axes.legend(
@@ -107,8 +108,8 @@ def error_figure(run: Run) -> Figure:
         (2, "(c) odometry − truth", {name: robot.odometry for name, robot in errors.items()}),
     ):
         _draw_errors(grid[:, column], series, looks, start_ns)
-        _mark_placed(grid[:, column], run, looks, start_ns)
         grid[0, column].set_title(title + _team_rmse(series), loc="left")
+    _mark_placed(grid[:, 0], run, looks, start_ns)
     for axes, label in zip(grid[:, 0], ("x [m]", "y [m]", "θ [rad]"), strict=True):
         axes.set_ylabel(label)
     figure.align_ylabels(grid[:, 0])

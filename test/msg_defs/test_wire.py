@@ -173,6 +173,10 @@ KINDS = {
         of_robot(wire.decode_observation_truth),
     ),
     "map": (wire.encode_map(landmark_map(), STAMP), wire.decode_map),
+    "pieces": (
+        wire.encode_pieces(landmark_map(), np.full(len(landmark_map().ids), 2), STAMP),
+        wire.decode_pieces,
+    ),
     "walls": (wire.encode_walls(walls(), STAMP), wire.decode_walls),
     "estimate": (
         wire.encode_estimate(Estimate(ROBOT, STAMP, np.array([1.0, 2, 3]), np.eye(3))),
@@ -251,6 +255,10 @@ class TestRoundTrip:
             data.draw(array32(count, 128)),
         )
         assert_identical(wire.decode_map(wire.encode_map(written, 5)), written)
+        pieces = data.draw(hnp.arrays(np.int32, count, elements=st.integers(1, 32)))
+        read, numbers = wire.decode_pieces(wire.encode_pieces(written, pieces, 5))
+        assert_identical(read, written)
+        assert numbers.tolist() == pieces.tolist()
 
     @given(poses, hnp.arrays(float, 2, elements=finite), stamps)
     def test_pose(self, pose, twist, stamp):
@@ -320,6 +328,10 @@ class TestRoundTrip:
         data = changed(wire.encode_step(step_record()), topics.STEPS.type, invented)
         with pytest.raises(InputError, match="level = 'fine'; it must be one of consistent, "):
             wire.decode_step(data)
+
+    def test_nobody_takes_landmarks_of_pieces_for_those_of_the_map(self):
+        with pytest.raises(InputError, match="frame"):
+            wire.decode_map(KINDS["pieces"][0])
 
     def test_a_verdict_is_the_level_of_its_robots_status(self):
         _, statuses = wire.decode_diagnostics(wire.encode_step(step_record()))

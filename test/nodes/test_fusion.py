@@ -298,6 +298,23 @@ def test_sightings_reach_the_pipeline_where_robots_send_them(parameters):
     assert len(heard[topics.STEPS]) == len(STEPS)
 
 
+def test_landmarks_without_a_place_in_the_map_are_told_apart(parameters):
+    known = ", ".join(map(str, CONFIG.start_poses[0]))
+    unknown = "-p", f"start_poses:=[{known}, .nan, .nan, .nan]"
+    with nodes.ros(*parameters, *unknown):
+        node = fusion.Fusion()
+        listener = nodes.Listener(topics.PIECES, topics.MAP_LANDMARKS, topics.STEPS)
+        listener.send(everything()[:24])
+        nodes.spin_until(lambda: node.done, node, listener)
+        node.close()
+        nodes.spin_until(lambda: listener.heard[topics.PIECES], listener)
+    apart, pieces = wire.decode_pieces(listener.heard[topics.PIECES][-1])
+    in_map = wire.decode_map(listener.heard[topics.MAP_LANDMARKS][-1])
+    assert set(pieces.tolist()) == set(apart.robots.tolist()) == {2}
+    assert set(in_map.robots.tolist()) <= {1}
+    assert not np.isin(apart.ids, in_map.ids).any()
+
+
 def test_a_topic_that_nobody_publishes_is_told_with_what_is_there_instead(parameters):
     renamed = [
         (topic._replace(name=topic.name.replace("robot_1/odom", "robot1/odom")), data)

@@ -66,6 +66,7 @@ def test_nothing_is_published_of_it_before_and_the_truth_after(told, ran):
                 assert np.hypot(errors[:, 0], errors[:, 1]).max() < limit
     assert ran.run.robots[second].path.stamps_ns[0] == ran.steps[0].stamp_ns  # its whole past
     assert not ran.pipeline.dropped
+    assert not len(ran.pipeline.unplaced()[1])
 
 
 def test_what_is_said_of_it(told, ran):
@@ -123,6 +124,11 @@ def test_a_robot_that_is_never_tied_in_disturbs_nothing(told):
     assert {e.robot for s in ran.steps for e in s.estimates} == {first}
     assert set(ran.pipeline.trajectories()) == set(ran.pipeline.mean_trajectories()) == {first}
     assert set(ran.run.landmarks.robots.tolist()) == {1}
+    apart, pieces = ran.pipeline.unplaced()
+    assert set(apart.robots.tolist()) == {2}
+    assert set(pieces.tolist()) == {2}
+    assert len(pieces) > 5
+    assert not np.isin(apart.ids, ran.run.landmarks.ids).any()
     assert {record.robot for record, _ in ran.pipeline.lineage()} == {0}
     figures = runs.evaluate(ran.run)
     assert figures["worst_level"] == "place unknown"
