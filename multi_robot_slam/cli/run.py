@@ -52,7 +52,7 @@ def demo(
             "--map",
             metavar="FILE",
             help="Another day: robots start elsewhere in the map of an earlier demo, a run's "
-            "folder or the map.npz in it, and nobody tells where, but of the first.",
+            "folder or the map.npz in it, and nobody tells where.",
         ),
     ] = None,
     watch: Annotated[
@@ -85,7 +85,7 @@ def demo(
         offset = simulated.OTHER_DAY
     world, config = simulated.configure(scenario, robots, seed, images=images, start_offset=offset)
     if unknown_starts or begun_in is not None:
-        config = simulated.with_unknown_starts(config)
+        config = simulated.with_unknown_starts(config, are_told=begun_in is None)
     if speed is None:
         speed = PICTURES_SPEED if world.images.enabled else LIVE_SPEED
     with folders.new_folder(out) as folder:

@@ -43,10 +43,10 @@ def configure(
     return world, replace(config, seed=seed)
 
 
-def with_unknown_starts(config: Config) -> Config:
-    """Nobody tells where the robots start, but of the first one."""
-    unknown: list[StartPose] = [UNKNOWN for _ in config.robots[1:]]
-    return replace(config, start_poses=(config.start_poses[0], *unknown))
+def with_unknown_starts(config: Config, are_told: int) -> Config:
+    """Nobody tells where the robots start, but of so many of the first."""
+    unknown: list[StartPose] = [UNKNOWN for _ in config.robots[are_told:]]
+    return replace(config, start_poses=(*config.start_poses[:are_told], *unknown))
 
 
 def to_yaml(world: Scenario, config: Config) -> str:

@@ -116,7 +116,8 @@ def test_places_that_nobody_told_are_found_also_in_the_map_of_another_day(start,
     process = start(alike, "--map", first / "map", "--speed", "0", "--seed", "1")
     _, said = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, said
-    assert "the place of robot_2 in map is known from now on" in said
+    for robot in ("robot_1", "robot_2"):
+        assert f"the place of {robot} in map is known from now on" in said
     starts = [(folder / "truth_robot_1.tum").read_text().split()[1:3] for folder in (first, out)]
     assert starts[0] != starts[1]
     before, after = (map_files.read(folder / FILE).kept for folder in (first, out))
