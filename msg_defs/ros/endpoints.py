@@ -91,8 +91,7 @@ class Reader:
         except (InvalidQosOverridesError, RuntimeError) as error:
             raise InputError(f"{QOS_OVERRIDES}{topic.name}: {error}") from None
         self._follows = topic.qos in _FOLLOWING and not self._is_chosen()
-        if self._follows:
-            node.every(FOLLOW_PERIOD_S, self.follow)
+        self._following = node.every(FOLLOW_PERIOD_S, self.follow) if self._follows else None
 
     @property
     def topic_name(self) -> str:
@@ -121,6 +120,12 @@ class Reader:
             self._qos.reliability = wanted
             before, self._subscription = self._subscription, self._create(None)
             self._node.destroy_subscription(before)
+
+    def close(self) -> None:
+        """Hear nothing any more."""
+        if self._following is not None:
+            self._node.destroy_timer(self._following)
+        self._node.destroy_subscription(self._subscription)
 
     def _create(self, overriding: QoSOverridingOptions | None) -> Subscription:
         # The defaults would warn of publishers that `follow` is about to hear.

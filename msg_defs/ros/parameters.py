@@ -1,12 +1,17 @@
 """Every field of a settings class is a ROS parameter, with its description and range."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from math import inf, nan
 from operator import attrgetter
 from typing import Any, cast, get_args, get_origin
 
 from pydantic import TypeAdapter
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
@@ -26,10 +31,13 @@ def given(node: Node) -> dict[str, Any]:
     return {name: parameter.value for name, parameter in found.items()}
 
 
-def declare(node: Node, *classes: type, section: str | None = None) -> list[Any]:
+def declare(
+    node: Node, *classes: type, section: str | None = None, is_managed: bool = False
+) -> list[Any]:
     """Declare every field of the settings `classes` as a parameter; their values.
 
-    It is read-only unless its field is marked `limits.AT_ANY_TIME`.
+    It is read-only unless its field is marked `limits.AT_ANY_TIME`, or the node `is_managed`: then
+    `follow_changes` says which may change when.
 
     Nested settings get dotted names, a tuple of tuples becomes one flat array, in which a word
     instead of a row is as many NaN. With `section`, a
@@ -51,9 +59,71 @@ def declare(node: Node, *classes: type, section: str | None = None) -> list[Any]
     for record in records:
         for leaf in limits.leaves(type(record)):
             value = _flat(leaf, attrgetter(leaf.name)(record))
-            _declare_one(node, leaf.name, value, _describe(leaf))
+            _declare_one(node, leaf.name, value, _describe(leaf, is_managed))
     _refuse_unknown(node, values)
     return records
+
+
+def records(node: Node, *classes: type) -> list[Any]:
+    """The values of the settings `classes` as the node's parameters are now; or `InputError`."""
+    values = given(node)
+    return [_override(cls(), values) for cls in classes]
+
+
+def follow_changes(
+    node: Node,
+    classes: Sequence[type],
+    is_free: Callable[[], bool],
+    take: Callable[..., None],
+    at_beginning: Sequence[str] = (),
+) -> None:
+    """Refuse changes of parameters that cannot be, with the remedy, and tell of the others.
+
+    Parameters
+    ----------
+    classes : as they were declared for a managed node.
+    is_free : whether the node is not configured, so that everything may change.
+    take : called with the values of all classes after a change.
+    at_beginning : names of what may change at any time, too, and counts from the next beginning.
+
+    """
+    leaves = {leaf.name: leaf for cls in classes for leaf in limits.leaves(cls)}
+
+    def may(changed: list[Parameter]) -> SetParametersResult:
+        try:
+            for name in (one.name for one in changed):
+                is_fixed = name in leaves and name not in at_beginning and _is_fixed(leaves[name])
+                if is_fixed and not is_free():
+                    raise InputError(_remedy(node, name))
+            values = given(node) | {one.name: one.value for one in changed}
+            for cls in classes:
+                _override(cls(), values)
+        except InputError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def changed(parameters: list[Parameter]) -> None:
+        names = [one.name for one in parameters if one.name in leaves]
+        later = [name for name in names if name in at_beginning]
+        if later and not is_free():
+            node.get_logger().info(f"{', '.join(later)}: counts when it begins anew, as by ~/reset")
+        if names:
+            take(*records(node, *classes))
+
+    node.add_on_set_parameters_callback(may)
+    node.add_post_set_parameters_callback(changed)
+
+
+def _is_fixed(leaf: limits.Field) -> bool:
+    return limits.AT_ANY_TIME not in leaf.metadata
+
+
+def _remedy(node: Node, name: str) -> str:
+    calls = f"ros2 lifecycle set {node.get_fully_qualified_name()}"
+    return (
+        f"{name} cannot change while the node is configured: {calls} deactivate, then cleanup, "
+        "which ends the run (~/save_map keeps its map); set it; then configure and activate"
+    )
 
 
 def _override(default: Any, values: Mapping[str, Any]) -> Any:
@@ -112,11 +182,13 @@ def _declare_one(node: Node, name: str, value: Any, descriptor: ParameterDescrip
     node.declare_parameter(name, value, descriptor, ignore_override=True)
 
 
-def _describe(leaf: limits.Field) -> ParameterDescriptor:
+def _describe(leaf: limits.Field, is_managed: bool) -> ParameterDescriptor:
     """Description, unit and closed range; `from_mapping` has checked the open bounds already."""
-    is_fixed = limits.AT_ANY_TIME not in leaf.metadata
+    is_fixed = _is_fixed(leaf)
     descriptor = ParameterDescriptor(
-        description=leaf.description, read_only=is_fixed, dynamic_typing=is_fixed
+        description=leaf.description,
+        read_only=is_fixed and not is_managed,
+        dynamic_typing=is_fixed,
     )
     bounds = limits.bounds_of(leaf.metadata)
     low = bounds.gt if bounds.ge is None else bounds.ge

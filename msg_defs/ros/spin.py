@@ -11,6 +11,7 @@ from rclpy.executors import Executor
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
+from rclpy.timer import Timer
 from rclpy.utilities import remove_ros_args
 
 from msg_defs.errors import InputError
@@ -39,9 +40,9 @@ class EdgeNode(Node):
         self.done = False
         self.exit_code = 0
 
-    def every(self, period_s: float, callback: Callable[[], None]) -> None:
+    def every(self, period_s: float, callback: Callable[[], None]) -> Timer:
         """Have `callback` called every `period_s` of our time, whatever /clock says."""
-        self.create_timer(period_s, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        return self.create_timer(period_s, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def work(self) -> float:
         """Do one piece of what is due; the seconds until more is due."""

@@ -25,9 +25,9 @@ class Health:
         self, robots: tuple[str, ...], silent_s: float, clock: Callable[[], float] = time.monotonic
     ) -> None:
         self.lag_s = 0.0
-        self.is_paused = False
-        """What arrives is not used."""
-        self._silent_s = silent_s
+        self.why_idle = ""
+        """Why nothing that arrives is used; empty: it is."""
+        self.silent_s = silent_s
         self._clock = clock
         self._heard_s = dict.fromkeys(robots, -np.inf)
         self.start_over()
@@ -115,8 +115,8 @@ class Health:
             return wire.ERROR, "a step failed: the estimate is as before"
         if self.step and not np.isfinite(self.step.effective_particles):
             return wire.ERROR, "the particles' weights are not finite: start over"
-        if self.is_paused:
-            return wire.WARN, "paused: nothing that arrives is used"
+        if self.why_idle:
+            return wire.WARN, f"{self.why_idle}: nothing that arrives is used"
         if self._nothing_but_losses(dropped.total()):
             return wire.ERROR, "nothing but losses: see what is dropped, and why"
         return (wire.WARN, "messages were dropped") if dropped else (wire.OK, "running")
@@ -132,13 +132,13 @@ class Health:
         if lost > self._lost_told:
             self._lost_told, self._lost_last_s = lost, now_s
             self._loses_since_s = min(self._loses_since_s, now_s)
-        elif now_s - self._lost_last_s > self._silent_s:
+        elif now_s - self._lost_last_s > self.silent_s:
             self._forgive(lost)
-        return self._lost_last_s - self._loses_since_s > self._silent_s
+        return self._lost_last_s - self._loses_since_s > self.silent_s
 
     def _robot_status(self, robot: str, frames: FrameCount, lost: Mapping[str, int]) -> wire.Status:
         silence_s = self._clock() - self._heard_s[robot]
-        is_silent = silence_s > self._silent_s
+        is_silent = silence_s > self.silent_s
         level, message = (wire.WARN, "silent") if is_silent else (wire.OK, "heard")
         verdict = self._verdicts.get(robot)
         judged = {} if verdict is None else wire.verdict_values(verdict)

@@ -39,6 +39,7 @@ class Keeping:
     autosave_s: Annotated[
         float,
         Ge(0),
+        AT_ANY_TIME,
         "time between two states; what came after the last is lost in a crash [s]; 0: none, only "
         "the map when the fusion has ended",
     ] = 5.0
@@ -83,7 +84,7 @@ class Autosave:
 
     def __init__(self, file: str, config: Config, warn: Callable[[str], None]) -> None:
         self.path = Path(file).absolute()
-        self._config, self._warn = config, warn
+        self.config, self._warn = config, warn
         self._writer = ThreadPoolExecutor(1, "autosave")
         self._writing: Future[None] | None = None
 
@@ -95,7 +96,7 @@ class Autosave:
             held = map_files.read(self.path)
             if held.state is None:
                 return None
-            if held.about["config"] != map_files.about(self._config, 0)["config"]:
+            if held.about["config"] != map_files.about(self.config, 0)["config"]:
                 raise InputError("it is of another configuration")
             return Resumed(map_files.pipeline_of(held, self._warn), held.about["stamp_ns"])
         except InputError as error:
@@ -112,7 +113,7 @@ class Autosave:
         except InputError as error:
             self._warn(f"autosave: {error}")
             return False
-        told = map_files.about(self._config, stamp_ns)
+        told = map_files.about(self.config, stamp_ns)
         self._writing = self._writer.submit(map_files.write_state, self.path, told, taken)
         return True
 
@@ -121,7 +122,7 @@ class Autosave:
         self._writer.shutdown()
         self._tell_of_failure()
         try:
-            save(str(self.path), self._config, pipeline, stamp_ns)
+            save(str(self.path), self.config, pipeline, stamp_ns)
         except InputError as error:
             self._warn(f"autosave: {error}")
             self.path.unlink(missing_ok=True)

@@ -16,20 +16,34 @@ from multi_robot_slam.pipeline.thinning import thinned
 
 
 class Outputs:
-    """The publishers of a fusion; its configuration is published at once."""
+    """The publishers of a fusion; its configuration is published when it begins."""
 
     def __init__(self, node: Node, config: Config, publish_tf: bool) -> None:
-        wants_tf = publish_tf and is_available(topics.TF)
-        if publish_tf and not wants_tf:
+        has_tf = is_available(topics.TF)
+        if publish_tf and not has_tf:
             node.get_logger().info("no /tf: tf2_msgs is not installed; it comes with ROS")
         wanted = topics.fusion_outputs(config.robots)
-        self._config = config
+        self.publishes_tf = publish_tf
+        self._node, self._config = node, config
         self._has_pieces = False
         self._publishers = {
-            topic: publisher(node, topic) for topic in wanted if wants_tf or topic != topics.TF
+            topic: publisher(node, topic) for topic in wanted if has_tf or topic != topics.TF
         }
+        self.begin(config)
+
+    def begin(self, config: Config) -> None:
+        """Publish the configuration of the run that begins."""
         text = scenario_file.to_yaml(**{SECTION: config})
         self._publish(topics.FUSION_CONFIG, wire.encode_text(text))
+
+    def close(self) -> None:
+        """Let go of all topics."""
+        for one in self._publishers.values():
+            self._node.destroy_publisher(one)
+
+    @property
+    def _sends_tf(self) -> bool:
+        return self.publishes_tf and topics.TF in self._publishers
 
     @property
     def names(self) -> set[str]:
@@ -51,7 +65,7 @@ class Outputs:
                 self._publish(topics.pose(estimate.robot), wire.encode_estimate(estimate))
                 self._publish(topics.mean_pose(estimate.robot), wire.encode_mean(estimate))
                 newest[estimate.robot] = estimate
-        if topics.TF in self._publishers:
+        if self._sends_tf:
             for estimate in newest.values():
                 odometry = pipeline.odometry_pose(estimate.robot)
                 self._publish(topics.TF, _transform(estimate, odometry))
@@ -59,7 +73,7 @@ class Outputs:
     def prediction(self, estimate: Estimate, odometry: np.ndarray) -> None:
         """Publish where a robot has gone since its last step, when its `odometry` (3,) came."""
         self._publish(topics.pose(estimate.robot), wire.encode_estimate(estimate))
-        if topics.TF in self._publishers:
+        if self._sends_tf:
             self._publish(topics.TF, _transform(estimate, odometry))
 
     def pictures(self, stamp_ns: int, pipeline: Pipeline, are_whole: bool = False) -> int:

@@ -23,7 +23,7 @@ class Silence:
         self, expected: Iterable[Topic], wait_s: float, clock: Callable[[], float] = time.monotonic
     ) -> None:
         self._unheard = {topic.name: topic for topic in expected}
-        self._wait_s = wait_s
+        self.wait_s = wait_s
         self._clock = clock
         self._began_s = clock()
         self.told: dict[str, str] = {}
@@ -43,11 +43,11 @@ class Silence:
 
         """
         overdue = self._unheard.keys() - self.told.keys()
-        if not overdue or self._clock() - self._began_s < self._wait_s:
+        if not overdue or self._clock() - self._began_s < self.wait_s:
             return []
         found = published()
         lines = {
-            name: f"nothing heard on {name} for {self._wait_s:g} s: {_reason(topic, found)}"
+            name: f"nothing heard on {name} for {self.wait_s:g} s: {_reason(topic, found)}"
             for name, topic in self._unheard.items()
             if name in overdue
         }

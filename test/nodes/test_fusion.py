@@ -271,9 +271,9 @@ def test_what_comes_in_waits_for_the_subscribers_that_are_expected(parameters):
     with nodes.ros(*parameters, "-p", "subscribers:=1"):
         node, sender = fusion.Fusion(), nodes.Listener(name="sender")
         sender.send(everything())
-        nodes.spin_until(lambda: len(node._inbox) == len(everything()), node, sender)
+        nodes.spin_until(lambda: len(node.fusing.inbox) == len(everything()), node, sender)
         nodes.spin_until(nodes.rounds(50), node, sender)
-        assert len(node._inbox) == len(everything())
+        assert len(node.fusing.inbox) == len(everything())
         late = nodes.Listener(*OUTPUTS)
         nodes.spin_until(lambda: len(late.heard[topics.STEPS]) == len(STEPS), node, late)
         stamps = [step[0].odometry.stamp_ns for step in STEPS]

@@ -203,7 +203,7 @@ def test_while_it_is_paused_nothing_is_used_and_nothing_counts_as_lost(given):
         assert team.call(srv.SetBool, "/fusion/pause", data=False).success
         records = team.hear(STEPS[26:45])
         assert records[20].stamp_ns == STEPS[26][0].odometry.stamp_ns
-        assert team.node._pipeline.lost() == pipeline_after(STEPS[:20]).lost()
+        assert team.node.fusing.pipeline.lost() == pipeline_after(STEPS[:20]).lost()
         team.node.close()
 
 
