@@ -1,6 +1,7 @@
 """The figures beside the scene: what a fusion says of itself, ready to be shown."""
 
-from collections.abc import Callable, Iterable
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -108,15 +109,16 @@ def _seen(frame: FrameRecord) -> tuple[str, str, str]:
 def innovation(watched: Watched, name: str) -> float | None:
     """Mean D of a robot's matches in its last `RECENT` keyframes; None without matches."""
     own = [f for step in watched.steps for f in step.frames if f.robot == name][-RECENT:]
-    values = _matched(own)
-    return float(values.mean()) if len(values) else None
+    mean = _mean(own)
+    return mean if np.isfinite(mean) else None
 
 
-def _matched(frames: Iterable[FrameRecord]) -> np.ndarray:
-    """(n,) D of what was matched."""
+def _mean(frames: Iterable[FrameRecord]) -> float:
+    """Mean D of what was matched; NaN where nothing was."""
     parts = [frame.mahalanobis[~frame.is_new] for frame in frames]
-    values = np.concatenate([np.empty(0, np.float32), *parts])
-    return values[np.isfinite(values)]
+    values = np.concatenate([np.empty(0), *parts])
+    values = values[np.isfinite(values)]
+    return float(values.mean()) if len(values) else np.nan
 
 
 def _status(watched: Watched, name: str) -> wire.Status:
@@ -129,49 +131,56 @@ class Curves(NamedTuple):
     seconds: np.ndarray
     """(n,) since the first step [s]."""
     values: tuple[np.ndarray, ...]
-    """Of each curve (n,); NaN where it has no point."""
+    """Of each curve (n,), all finite: a chart with a gap would be empty."""
 
 
 def particle_curve(watched: Watched) -> Curves:
     """Effective particles after each step."""
-    steps = [*watched.steps]
-    return Curves(_times(watched), (np.array([s.effective_particles for s in steps], float),))
+    values = np.array([step.effective_particles for step in watched.steps], float)
+    return Curves(_times(watched), (_held(values, 0.0),))
 
 
 def match_curves(watched: Watched) -> Curves:
-    """Matches of each robot's keyframes."""
-    return _by_robot(watched, lambda frame, _: float((~frame.is_new).sum()))
+    """Matches of each robot's newest keyframe."""
+    curves = _by_robot(watched, lambda frames: float((~frames[-1].is_new).sum()))
+    return Curves(_times(watched), tuple(_held(curve, 0.0) for curve in curves))
 
 
 def innovation_curves(watched: Watched) -> Curves:
     """Mean D of each robot's matches in its last `RECENT` keyframes, and last what is lawful."""
-    seen: dict[str, list[FrameRecord]] = {name: [] for name in watched.robots}
-
-    def mean(frame: FrameRecord, name: str) -> float:
-        seen[name] = [*seen[name][1 - RECENT :], frame]
-        values = _matched(seen[name])
-        return float(values.mean()) if len(values) else np.nan
-
-    curves = _by_robot(watched, mean)
-    law = np.full(len(curves.seconds), lawful_mean(watched))
-    return Curves(curves.seconds, (*curves.values, law))
+    curves, law = _by_robot(watched, _mean), lawful_mean(watched)
+    lawful = np.full(len(watched.steps), law)
+    return Curves(_times(watched), (*(_held(curve, law) for curve in curves), lawful))
 
 
 def lag_curve(watched: Watched) -> Curves:
     """How far the fusion was behind, once a second."""
     stamps, lags = zip(*watched.lags, strict=True) if watched.lags else ((), ())
     seconds = np.array([watched.seconds(stamp) for stamp in stamps], float)
-    return Curves(seconds, (np.array(lags, float),))
+    return Curves(seconds, (_held(np.array(lags, float), 0.0),))
 
 
 def _times(watched: Watched) -> np.ndarray:
     return np.array([watched.seconds(step.stamp_ns) for step in watched.steps], float)
 
 
-def _by_robot(watched: Watched, value: Callable[[FrameRecord, str], float]) -> Curves:
-    """Curves of what `value` tells of each frame."""
-    curves = {name: np.full(len(watched.steps), np.nan) for name in watched.robots}
-    for row, step in enumerate(watched.steps):
-        for frame in step.frames:
-            curves[frame.robot][row] = value(frame, frame.robot)
-    return Curves(_times(watched), tuple(curves.values()))
+def _by_robot(
+    watched: Watched, value: Callable[[list[FrameRecord]], float]
+) -> Iterator[np.ndarray]:
+    """Of each robot what `value` tells of its last keyframes; NaN where a step has none of it."""
+    for name in watched.robots:
+        recent: deque[FrameRecord] = deque(maxlen=RECENT)
+        curve = np.full(len(watched.steps), np.nan)
+        for row, step in enumerate(watched.steps):
+            own = [frame for frame in step.frames if frame.robot == name]
+            recent.extend(own)
+            if own:
+                curve[row] = value([*recent])
+        yield curve
+
+
+def _held(curve: np.ndarray, before: float) -> np.ndarray:
+    """A curve (n,) that keeps its last finite value; `before` the first one."""
+    rows = np.where(np.isfinite(curve), np.arange(len(curve)), -1)
+    last = np.maximum.accumulate(rows) if len(rows) else rows
+    return np.where(last >= 0, curve[last], before)

@@ -64,7 +64,7 @@ class Panel:
             self._chart("Effective particles", figures.particle_curve, ["effective particles"])
             self._chart("Matches of a keyframe", figures.match_curves, names)
             self._chart(
-                "Innovation: mean D, and its law", figures.innovation_curves, [*names, "law"]
+                "Innovation: mean D (dashed: its law)", figures.innovation_curves, [*names, "law"]
             )
             self._chart("Lag [s]", figures.lag_curve, ["lag"])
 
@@ -77,6 +77,7 @@ class Panel:
                 self._picture(name, coloured(robot.picture.pixels))
 
     def draw_charts(self, watched: Watched) -> None:
+        """Bring the charts up to date."""
         for chart, curves in self._charts:
             seconds, values = curves(watched)
             chart.data = (seconds, *values)
@@ -94,7 +95,7 @@ class Panel:
         series = [Series(label="time [s]"), *map(_series, range(len(names)), names)]
         chart = self._gui.add_uplot(
             (nothing, *(nothing for _ in names)), tuple(series), title=title,
-            scales={"x": Scale(time=False)}, legend=Legend(show=len(names) > 1), height=CHART_PX,
+            scales={"x": Scale(time=False)}, legend=Legend(show=False), height=CHART_PX,
         )  # fmt: skip
         self._charts.append((chart, curves))
 

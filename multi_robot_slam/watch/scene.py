@@ -27,7 +27,7 @@ LAYERS = {
 
 NEUTRAL: Colour = (90, 99, 110)
 """What belongs to no robot alone."""
-MOST_LANDMARKS = 6000
+MOST_LANDMARKS, MOST_ELLIPSOIDS = 6000, 1000
 """Drawn; of more, those observed most often."""
 LIFT_M = 0.02
 """How far paths and discs are above the ground, where they would flicker with its grid."""
@@ -107,12 +107,13 @@ class Scene:
             self._remove(*names)
             return
         often = np.argsort(-landmarks.observations.astype(np.int64), kind="stable")
-        rows = np.sort(often[:MOST_LANDMARKS])
+        rows = often[:MOST_LANDMARKS]
         places, colours = landmarks.positions[rows], _landmark_colours(landmarks.robots[rows])
         self._nodes[names[0]] = self._scene.add_point_cloud(
             names[0], places, colours, point_size=0.07, point_shape="circle", precision="float32",
             point_shading="flat",
         )  # fmt: skip
+        rows, places, colours = (some[:MOST_ELLIPSOIDS] for some in (rows, places, colours))
         turns, axes = shapes.ellipsoids(unpack(landmarks.covariances[rows]))
         self._nodes[names[1]] = self._scene.add_batched_meshes_simple(
             names[1], *shapes.sphere(), turns, places, batched_scales=self.scale * axes,

@@ -147,3 +147,26 @@ def test_innovations_are_means_of_recent_matches(monkeypatch):
     assert law == pytest.approx(figures.lawful_mean(found))
     assert 2.0 < law[0] < 3.0
     assert figures.match_curves(found).values[0].tolist() == [2.0] * 6
+
+
+def test_curves_have_no_gaps():
+    """A chart with one would be empty."""
+    steps = [
+        replace(step, frames=step.frames[place % 2 :][:1]) for place, step in enumerate(RUN.steps)
+    ]
+    steps[2] = replace(steps[2], effective_particles=np.nan)
+    found = watched(replace(RUN, steps=steps))
+    found.take_diagnostics((wire.Status("fusion", {"lag [s]": "nan"}),))
+    for make in (
+        figures.particle_curve,
+        figures.match_curves,
+        figures.innovation_curves,
+        figures.lag_curve,
+    ):
+        for curve in make(found).values:
+            assert np.isfinite(curve).all()
+    first, second = figures.match_curves(found).values
+    seen = [int((~step.frames[0].is_new).sum()) for step in steps]
+    assert first.tolist() == [seen[0], seen[0], seen[2], seen[2], seen[4], seen[4]]
+    assert second.tolist() == [0, seen[1], seen[1], seen[3], seen[3], seen[5]]
+    assert figures.particle_curve(found).values[0].tolist() == [12.5] * 6
