@@ -42,6 +42,7 @@ FUSION_CONFIG = Topic("fusion/config", "std_msgs/msg/String", LATCHED)
 WORLD_CONFIG = Topic("sim_world/config", "std_msgs/msg/String", LATCHED)
 DIAGNOSTICS = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray")
 TF = Topic("/tf", "tf2_msgs/msg/TFMessage")
+TF_STATIC = Topic("/tf_static", "tf2_msgs/msg/TFMessage", LATCHED)
 
 
 def odometry(robot: str) -> Topic:

@@ -12,6 +12,7 @@ from sim_world.rendering.settings import ImageSettings
 from sim_world.robot import START_NS, RobotStep
 from sim_world.scenario import SECTION
 from sim_world.simulator import Simulation
+from sim_world.stereo import optical_in_base
 
 if TYPE_CHECKING:
     from sim_world.rendering.renderer import Renderer
@@ -33,6 +34,23 @@ def of_world(simulation: Simulation) -> list[Message]:
         (topics.GROUND_TRUTH_WALLS, wire.encode_walls(simulation.walls, START_NS)),
         (topics.WORLD_CONFIG, wire.encode_text(f"# seed: {simulation.seed}\n{config}")),
     ]
+
+
+def odometry_transform(step: RobotStep) -> Message:
+    """Where the robot's `base_link` is in its `odom` frame, by its odometry."""
+    name, sample = step.odometry.robot, step.odometry
+    frames = topics.odom_frame(name), topics.base_frame(name)
+    return topics.TF, wire.encode_transform(sample.stamp_ns, *frames, sample.pose)
+
+
+def camera_transforms(simulation: Simulation) -> Message:
+    """Where the cameras sit on all robots."""
+    place = optical_in_base(simulation.scenario.camera.mount)
+    transforms = [
+        wire.Transform(topics.base_frame(name), topics.camera_frame(name), place)
+        for name in simulation.start_poses
+    ]
+    return topics.TF_STATIC, wire.encode_transforms(START_NS, transforms)
 
 
 def teller(simulation: Simulation, automatic: Transport) -> Callable[[RobotStep], list[Message]]:

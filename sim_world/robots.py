@@ -10,7 +10,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 
 from msg_defs import topics
-from msg_defs.ros.endpoints import Audience, InFlight, publisher
+from msg_defs.ros.endpoints import Audience, InFlight, is_available, publisher
 from msg_defs.ros.parameters import declare
 from msg_defs.ros.spin import EdgeNode, spin
 from msg_defs.ros.usage import Usage
@@ -54,12 +54,15 @@ class Playback:
         int, Ge(0), "subscribers to wait for on each ground_truth and stereo/truth topic"
     ] = 0
     wait_s: Annotated[float, Ge(0), "start without them after so long; 0 waits forever [s]"] = 0.0
+    publish_tf: Annotated[
+        bool, "publish the transforms <robot>/odom -> <robot>/base_link -> camera"
+    ] = True
 
 
 class RobotNode(Node):
     """Publishes what one robot reports, and the truth about it."""
 
-    def __init__(self, name: str, transport: messages.Transport | None) -> None:
+    def __init__(self, name: str, transport: messages.Transport | None, publish_tf: bool) -> None:
         """Of pictures that messages hold in this way or, where there is none, of landmarks."""
         super().__init__(name)
         inputs, truths = [topics.odometry(name)], [topics.ground_truth(name)]
@@ -70,11 +73,12 @@ class RobotNode(Node):
         pictures = messages.picture_topics(name, transport) if transport else []
         self.pictures = _publishers(self, pictures)
         self.truths = _publishers(self, truths)
+        self.transforms = _publishers(self, [topics.TF] if publish_tf else [])
 
     @property
     def outputs(self) -> dict[Topic, Publisher]:
         """All publishers."""
-        return self.inputs | self.pictures | self.truths
+        return self.inputs | self.pictures | self.truths | self.transforms
 
     def publish(self, step: list[Message]) -> None:
         """Publish everything of one instant."""
@@ -95,10 +99,14 @@ class _Said(NamedTuple):
     """Of each robot."""
 
 
-def _said(simulation: Simulation) -> Iterator[_Said]:
+def _said(simulation: Simulation, publish_tf: bool) -> Iterator[_Said]:
     say = messages.teller(simulation, AUTOMATIC)
     for instant in simulation.steps():
-        yield _Said(instant[0].odometry.stamp_ns, [say(step) for step in instant])
+        said = [say(step) for step in instant]
+        if publish_tf:
+            for own, step in zip(said, instant, strict=True):
+                own.append(messages.odometry_transform(step))
+        yield _Said(instant[0].odometry.stamp_ns, said)
 
 
 class SimWorld(EdgeNode):
@@ -112,15 +120,17 @@ class SimWorld(EdgeNode):
         simulation = Simulation(scenario, playback.seed, playback.only or None)
         images = scenario.images
         transport = messages.transport(images, AUTOMATIC) if images.enabled else None
-        self._robots = [RobotNode(name, transport) for name in simulation.start_poses]
+        publish_tf = playback.publish_tf and is_available(topics.TF)
+        names = simulation.start_poses
+        self._robots = [RobotNode(name, transport, publish_tf) for name in names]
         self.companions = [*self._robots]
         self._speed = playback.speed
         self._audience = Audience(self, self._expected(playback), playback.wait_s)
         self._in_flight = InFlight(self, [p for r in self._robots for p in r.outputs.values()])
-        self._publish_world(simulation)
+        self._publish_world(simulation, publish_tf)
         if images.enabled:
             self.get_logger().info("painting the walls and compiling what renders them")
-        self._steps = _said(simulation)
+        self._steps = _said(simulation, publish_tf)
         self._next = next(self._steps, None)
         self._published = 0
         most = MOST_PICTURES_IN_FLIGHT if images.enabled else MOST_IN_FLIGHT
@@ -148,8 +158,9 @@ class SimWorld(EdgeNode):
             yield from ((one, playback.image_subscribers) for one in robot.pictures.values())
             yield from ((one, playback.truth_subscribers) for one in robot.truths.values())
 
-    def _publish_world(self, simulation: Simulation) -> None:
-        for topic, data in messages.of_world(simulation):
+    def _publish_world(self, simulation: Simulation, publish_tf: bool) -> None:
+        cameras = [messages.camera_transforms(simulation)] if publish_tf else []
+        for topic, data in [*messages.of_world(simulation), *cameras]:
             publisher(self, topic).publish(data)
 
     def _due_s(self, step: "_Said") -> float:

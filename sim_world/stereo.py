@@ -1,5 +1,7 @@
 """The simulated stereo camera: projection, field of view and noise (14), (15)."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from msg_defs.types import CameraMount, StereoCamera
@@ -36,6 +38,26 @@ def camera_from_map(points: np.ndarray, pose: np.ndarray, mount: CameraMount) ->
     )
     ahead, left, up = axes(mount) @ from_camera.T
     return np.column_stack([-left, up, ahead])
+
+
+def optical_in_base(mount: CameraMount) -> tuple[float, ...]:
+    """The optical frame (x right, y down, z forward) in `base_link`: x, y, z [m], then x, y, z, w.
+
+    The quaternion is that of the yaw, then the pitch, then the roll, then of the optical axes.
+    """
+    turn: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0)
+    for angle, axis in ((mount.yaw_rad, 2), (mount.pitch_rad, 1), (mount.roll_rad, 0)):
+        about = [0.0, 0.0, 0.0, np.cos(angle / 2)]
+        about[axis] = np.sin(angle / 2)
+        turn = _turned(turn, about)
+    return mount.forward_m, mount.left_m, mount.up_m, *_turned(turn, (-0.5, 0.5, -0.5, 0.5))
+
+
+def _turned(first: Sequence[float], second: Sequence[float]) -> tuple[float, ...]:
+    """The product of two quaternions x, y, z, w."""
+    v, w = np.array(first[:3]), np.array(second[:3])
+    vector = first[3] * w + second[3] * v + np.cross(v, w)
+    return *vector.tolist(), float(first[3] * second[3] - v @ w)
 
 
 def project(points: np.ndarray, camera: StereoCamera) -> np.ndarray:

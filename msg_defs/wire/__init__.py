@@ -41,6 +41,7 @@ from msg_defs.wire.images import (
 from msg_defs.wire.messages import is_known, message_class, message_schema, peek_stamp
 from msg_defs.wire.pictures import decode_walls, encode_markers, encode_walls
 from msg_defs.wire.poses import (
+    Transform,
     decode_particles,
     decode_path,
     decode_pose,
@@ -49,6 +50,7 @@ from msg_defs.wire.poses import (
     encode_path,
     encode_pose,
     encode_transform,
+    encode_transforms,
 )
 from msg_defs.wire.records import (
     ERROR,
@@ -77,6 +79,7 @@ __all__ = [
     "WARN",
     "Estimates",
     "Status",
+    "Transform",
     "decode_camera_info",
     "decode_compressed",
     "decode_diagnostics",
@@ -115,6 +118,7 @@ __all__ = [
     "encode_step",
     "encode_text",
     "encode_transform",
+    "encode_transforms",
     "encode_walls",
     "is_known",
     "message_class",

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -141,8 +141,24 @@ def decode_particles(data: bytes, robot: str) -> np.ndarray:
 
 def encode_transform(stamp_ns: int, frame_id: str, child_frame_id: str, pose: np.ndarray) -> bytes:
     """TFMessage with the one `pose` (3,) of `child_frame_id` in `frame_id`."""
-    message = Writer().numbers("I", 1).header(stamp_ns, frame_id).text(child_frame_id)
-    return message.numbers("7d", *spatial_pose(pose)).done()
+    return encode_transforms(stamp_ns, [Transform(frame_id, child_frame_id, spatial_pose(pose))])
+
+
+def encode_transforms(stamp_ns: int, transforms: Sequence["Transform"]) -> bytes:
+    """TFMessage with all of them."""
+    message = Writer().numbers("I", len(transforms))
+    for frame_id, child_frame_id, pose in transforms:
+        message.header(stamp_ns, frame_id).text(child_frame_id).numbers("7d", *pose)
+    return message.done()
+
+
+class Transform(NamedTuple):
+    """Where one frame is in another."""
+
+    frame_id: str
+    child_frame_id: str
+    pose: tuple[float, ...]
+    """x, y, z [m] and the quaternion x, y, z, w of the child frame."""
 
 
 def spatial_pose(pose: Iterable[float]) -> tuple[float, ...]:

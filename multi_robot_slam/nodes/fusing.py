@@ -21,6 +21,7 @@ from multi_robot_slam.nodes.health import Health
 from multi_robot_slam.nodes.inbox import Inbox, Message
 from multi_robot_slam.nodes.keeping import Autosave, Keeping, Resumed, loaded
 from multi_robot_slam.nodes.outputs import Outputs
+from multi_robot_slam.nodes.rivals import rival
 from multi_robot_slam.nodes.silence import Silence
 from multi_robot_slam.pipeline.decoding import Decode, inputs
 from multi_robot_slam.pipeline.pipeline import Pipeline
@@ -189,7 +190,11 @@ class Fusing:
         log.info(self.health.progress(), throttle_duration_sec=PROGRESS_PERIOD_S)
 
     def publish_diagnostics(self) -> None:
-        """Publish how the fusion is."""
+        """Publish how the fusion is; tell of another one as soon as there is one."""
+        found = rival(self._node, self._outputs.steps_name)
+        if found and not self.health.rival:
+            self._node.get_logger().error(found)
+        self.health.rival = found
         for line in self._silence.news(self._published_by_others):
             self._node.get_logger().warning(line)
         statuses = self.health.statuses(

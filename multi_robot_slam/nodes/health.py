@@ -27,6 +27,8 @@ class Health:
         self.lag_s = 0.0
         self.why_idle = ""
         """Why nothing that arrives is used; empty: it is."""
+        self.rival = ""
+        """What to say of another fusion that publishes on the same topics, if there is one."""
         self.silent_s = silent_s
         self._clock = clock
         self._heard_s = dict.fromkeys(robots, -np.inf)
@@ -115,6 +117,8 @@ class Health:
             return wire.ERROR, "a step failed: the estimate is as before"
         if self.step and not np.isfinite(self.step.effective_particles):
             return wire.ERROR, "the particles' weights are not finite: start over"
+        if self.rival:
+            return wire.ERROR, self.rival
         if self.why_idle:
             return wire.WARN, f"{self.why_idle}: nothing that arrives is used"
         if self._nothing_but_losses(dropped.total()):

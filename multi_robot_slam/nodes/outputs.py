@@ -50,6 +50,11 @@ class Outputs:
         """The whole names of all topics."""
         return {one.topic_name for one in self._publishers.values()}
 
+    @property
+    def steps_name(self) -> str:
+        """The whole name of the topic with the steps."""
+        return str(self._publishers[topics.STEPS].topic_name)
+
     def lossless(self) -> list[Publisher]:
         """Publishers of which no message may be missing in a recording."""
         kinds = (topics.pose, topics.mean_pose)

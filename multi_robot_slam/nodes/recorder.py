@@ -54,6 +54,7 @@ def recorded(robots: tuple[str, ...]) -> list[topics.Topic]:
         topics.GROUND_TRUTH_LANDMARKS,
         topics.GROUND_TRUTH_WALLS,
         topics.WORLD_CONFIG,
+        topics.TF_STATIC,
         *(topic(robot) for robot in robots for topic in of_each),
         *topics.fusion_outputs(robots),
     ]

@@ -54,7 +54,12 @@ class Playback:
         Ge(0),
         "subscribers to wait for on each odom and stereo/landmarks topic, or each of pictures",
     ] = 1
-    wait_s: Annotated[float, Ge(0), "start without them after so long; 0 waits forever [s]"] = 0.0
+    wait_s: Annotated[
+        float,
+        Ge(0),
+        "start without them after so long, and say so; 0 waits forever; a fusion that is started "
+        "at the same time takes some 3 s to load [s]",
+    ] = 10.0
 
 
 USAGE = Usage(

@@ -10,6 +10,8 @@ from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from mcap.records import Schema
+from mcap_ros2.decoder import DecoderFactory
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
@@ -432,6 +434,25 @@ class TestFrames:
         ahead = Rotation.from_quat([q.x, q.y, q.z, q.w]).apply([1, 0, 0])
         moved = np.add(ahead, [t.x, t.y, t.z])
         np.testing.assert_allclose(moved, [1, 3, 0], atol=1e-15)
+
+    @pytest.mark.parametrize("names", [("a", "b"), ("a/base_link", "röbot/odom"), ("", "abcd")])
+    def test_transforms_are_read_by_two_other_decoders(self, names):
+        """One is rosbags', one mcap-ros2's."""
+        given = [
+            wire.Transform(*names, (1, 2, 3, 0, 0, 0, 1)),
+            wire.Transform(*names[::-1], (7,) * 7),
+        ]
+        data, kind = wire.encode_transforms(STAMP, given), topics.TF_STATIC.type
+        text, _ = wire.message_schema(kind)
+        schema = Schema(1, text.encode(), "ros2msg", kind)
+        dynamic = DecoderFactory().decoder_for("cdr", schema)
+        for message in (STORE.deserialize_cdr(data, kind), dynamic(data)):
+            for transform, (frame_id, child, pose) in zip(message.transforms, given, strict=True):
+                assert (transform.header.frame_id, transform.child_frame_id) == (frame_id, child)
+                stamp = transform.header.stamp
+                assert stamp.sec * 10**9 + stamp.nanosec == STAMP
+                q, t = transform.transform.rotation, transform.transform.translation
+                assert (t.x, t.y, t.z, q.x, q.y, q.z, q.w) == pose
 
 
 class TestMarkers:

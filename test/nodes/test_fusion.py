@@ -267,6 +267,29 @@ def test_a_silent_robot_is_reported(parameters):
     assert levels["fusion: robot_2"] == wire.WARN
 
 
+def test_two_fusions_say_so_until_one_is_gone(parameters, capfd):
+    lasting = [*parameters[:-1], "stop_after_s:=0.0"]
+
+    def levels(listener):
+        found = [wire.decode_diagnostics(d)[1][0] for d in listener.heard[topics.DIAGNOSTICS]]
+        listener.heard[topics.DIAGNOSTICS].clear()
+        return {status.message[:14] for status in found if status.level == wire.ERROR}, len(found)
+
+    with nodes.ros(*lasting):
+        listener = nodes.Listener(topics.DIAGNOSTICS)
+        first, second = fusion.Fusion(), fusion.Fusion()
+        both = first._health, second._health
+        nodes.spin_until(lambda: all(one.rival for one in both), first, second, listener)
+        nodes.spin_until(lambda: levels(listener)[0] == {"another fusion"}, first, second, listener)
+        assert capfd.readouterr().err.count("another fusion publishes /fusion/steps") == 2
+        second.close()
+        second.destroy_node()
+        nodes.spin_until(lambda: not first._health.rival, first, listener)
+        levels(listener)
+        nodes.spin_until(lambda: levels(listener) == (set(), 1), first, listener)
+        first.close()
+
+
 def test_what_comes_in_waits_for_the_subscribers_that_are_expected(parameters):
     with nodes.ros(*parameters, "-p", "subscribers:=1"):
         node, sender = fusion.Fusion(), nodes.Listener(name="sender")

@@ -50,6 +50,14 @@ def test_weights_that_are_not_finite_are_an_error():
     assert level(one) == wire.ERROR
 
 
+def test_another_fusion_is_an_error_while_it_is_there():
+    one, _ = health()
+    one.rival = "another fusion"
+    assert level(one) == wire.ERROR
+    one.rival = ""
+    assert level(one) == wire.OK
+
+
 def test_nothing_but_losses_is_an_error_until_the_next_step():
     one, clock = health()
     one.note(STEP, 3)

@@ -226,6 +226,18 @@ def test_waits_until_the_inputs_have_their_subscribers(bag):
         )
 
 
+def test_it_plays_on_without_a_listener_when_the_wait_is_over(bag, capfd):
+    with nodes.ros(*parameters(bag, "subscribers:=1", "wait_s:=0.3")):
+        node = replay.Replay()
+        nodes.spin_until(lambda: node.done, node)
+        assert node._published > STEPS
+    assert "starting without subscribers of /robot_1/odom" in capfd.readouterr().err
+
+
+def test_it_does_not_wait_forever_unless_it_is_told_to():
+    assert 0 < replay.Playback().wait_s < 60
+
+
 @pytest.mark.parametrize("follows_clock", ["true", "false"])
 def test_the_fusion_starts_over_when_the_recording_does(recorded, tmp_path, follows_clock):
     bag, config = recorded

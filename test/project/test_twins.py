@@ -3,6 +3,7 @@
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 
 from msg_defs.types import CameraMount, StereoCamera
 from multi_robot_slam.front_end.rig import StereoRig
@@ -25,6 +26,15 @@ def test_the_filter_puts_a_point_where_the_simulator_saw_it(pose, point, mount):
     seen = simulated.camera_from_map(point[None], pose, mount)
     body, _ = estimated.to_body(seen, np.zeros((1, 6)), mount)
     np.testing.assert_allclose(estimated.to_map(pose, body)[0], point, atol=1e-9)
+
+
+@given(points, mounts)
+def test_the_transform_of_the_camera_puts_a_point_where_the_filter_does(seen, mount):
+    """`seen` in the optical frame: x right, y down, z forward."""
+    *place, x, y, z, w = simulated.optical_in_base(mount)
+    body, _ = estimated.to_body(seen[None] * [1, -1, 1], np.zeros((1, 6)), mount)
+    transformed = Rotation.from_quat([x, y, z, w]).apply(seen) + place
+    np.testing.assert_allclose(transformed, body[0], atol=1e-9)
 
 
 @given(st.tuples(st.floats(-5, 5), st.floats(-5, 5), st.floats(0.5, 30)).map(np.array))

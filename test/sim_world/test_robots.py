@@ -209,6 +209,53 @@ def test_cameras_that_cannot_be_rendered_end_the_node():
         robots.SimWorld()
 
 
+class Said:
+    """In place of a publisher whose type is not installed: what it was given."""
+
+    def __init__(self):
+        self.data = []
+        self.publish = self.data.append
+
+    def get_subscription_count(self):
+        return 0
+
+    def wait_for_all_acked(self, _):
+        return True
+
+
+@pytest.mark.parametrize("wanted", [True, False])
+def test_transforms_go_with_the_odometry(monkeypatch, wanted):
+    """As where tf2_msgs is installed."""
+    said = {}
+
+    def publisher(node, topic):
+        if topic.type == topics.TF.type:
+            return said.setdefault((node.get_name(), topic), Said())
+        return actual(node, topic)
+
+    actual = robots.publisher
+    monkeypatch.setattr(robots, "publisher", publisher)
+    monkeypatch.setattr(robots, "is_available", lambda topic: True)
+    given = ("-p", "subscribers:=0", "-p", f"publish_tf:={str(wanted).lower()}")
+    with nodes.ros(*PARAMETERS, *given):
+        world = robots.SimWorld()
+        nodes.spin_until(lambda: world.done, world)
+    if not wanted:
+        assert said == {}
+        return
+    simulation = Simulation(SCENARIO, 0)
+    for place, name in enumerate(SCENARIO.names):
+        frames = topics.odom_frame(name), topics.base_frame(name)
+        expected = [
+            wire.encode_transform(s[place].odometry.stamp_ns, *frames, s[place].odometry.pose)
+            for s in Simulation(SCENARIO, 0).steps()
+        ]
+        assert said[name, topics.TF].data == expected
+    (static,) = said["sim_world", topics.TF_STATIC].data
+    assert static == messages.camera_transforms(simulation)[1]
+    assert len(said) == len(SCENARIO.names) + 1
+
+
 def test_works_under_a_namespace():
     with nodes.ros(*PARAMETERS, "-r", "__ns:=/team"):
         world = robots.SimWorld()
