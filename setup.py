@@ -16,6 +16,7 @@ setup(
         ("share/multi_robot_slam", ["package.xml"]),
         ("share/sim_world", ["resource/share/sim_world/package.xml"]),
         ("share/multi_robot_slam/config", sorted(glob("config/*.*"))),
+        ("share/multi_robot_slam/launch", sorted(glob("launch/*.launch.py"))),
         ("lib/sim_world", ["scripts/robots"]),
         (
             "lib/multi_robot_slam",

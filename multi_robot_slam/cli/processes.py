@@ -16,8 +16,10 @@ from subprocess import Popen
 from typing import NamedTuple
 
 from msg_defs import scenario_file
+from msg_defs.errors import InputError
 from multi_robot_slam.cli import maps
-from multi_robot_slam.watch.address import Serving, free
+from multi_robot_slam.cli.terminal import warn
+from multi_robot_slam.watch.address import Serving, free, require_viser
 from sim_world.scenario import SECTION as WORLD_SECTION
 from sim_world.scenario import Scenario
 
@@ -25,6 +27,8 @@ END_S = 2.5
 """How long the processes may take to end, all together."""
 LISTENER_S = 0.7
 """How much of it is the listener's, which ends last."""
+PAGE_S = 0.4
+"""How long the page may take to end, after them."""
 OFTEN_S, RARELY_S = 1.0, 5.0
 """Time between two maps; one made of pictures has thousands of landmarks, each of 600 bytes."""
 IDLE_S = 2.0
@@ -59,15 +63,25 @@ def clock(arrivals: Path, scenario: Path, seed: int) -> None:
 
 @contextmanager
 def watching() -> Iterator[None]:
-    """Serve a page of the fusion to come while the block runs, and print where."""
+    """Serve a page of the fusion to come while the block runs, and print where.
+
+    Where that cannot be, the reason is said, and all goes on without it.
+    """
     _choose_domain()
-    address = free(Serving())
-    page = _spawn("multi_robot_slam.nodes.watch", f"host:={address.host}", f"port:={address.port}")
+    try:
+        require_viser()
+        address = free(Serving())
+    except InputError as error:
+        warn(f"no page to watch it: {error}")
+        yield
+        return
+    where = f"host:={address.host}", f"port:={address.port}"
+    page = _spawn("multi_robot_slam.nodes.watch", *where, f"ends_with:={os.getpid()}")
     print(f"Watch it at {address}", flush=True)
     try:
         yield
     finally:
-        _end_by([page], time.monotonic() + LISTENER_S)
+        _end_by([page], time.monotonic() + PAGE_S)
 
 
 class _Listener(NamedTuple):

@@ -1,7 +1,11 @@
 """ROS: shows what a fusion publishes as a page in the browser."""
 
+import os
 import sys
 from functools import partial
+from typing import Annotated
+
+from annotated_types import Ge
 
 from msg_defs import scenario_file, topics, wire
 from msg_defs.errors import InputError
@@ -11,6 +15,7 @@ from msg_defs.ros.parameters import declare
 from msg_defs.ros.spin import EdgeNode, spin
 from msg_defs.ros.usage import Usage
 from msg_defs.topics import LATCHED, Topic
+from msg_defs.types import settings
 from multi_robot_slam.config import SECTION, Config
 from multi_robot_slam.watch.address import Serving, free, require_viser
 from multi_robot_slam.watch.inputs import Input, inputs
@@ -19,13 +24,23 @@ from multi_robot_slam.watch.watched import Watched
 DAMAGED_PERIOD_S = 5.0
 """Of messages that cannot be read one is told of in so long."""
 
+
+@settings
+class Life:
+    """When the node ends by itself."""
+
+    ends_with: Annotated[
+        int, Ge(0), "process that started the node, with which it ends; 0: it goes on"
+    ] = 0
+
+
 USAGE = Usage(
     "multi_robot_slam watch",
     "Show a fusion that runs as a page in the browser: map, robots, paths, uncertainty, particles, "
     "and how the fusion is. It learns the team from fusion/config and changes nothing: it only "
     "listens. The page needs no network. A run that is over is played by: multi_robot_slam watch "
     "BAG",
-    (Serving,),
+    (Serving, Life),
 )
 
 
@@ -38,7 +53,7 @@ class Watch(EdgeNode):
 
     def __init__(self) -> None:
         super().__init__("watch")
-        (serving,) = declare(self, *USAGE.classes)
+        serving, self._life = declare(self, *USAGE.classes)
         require_viser()
         from multi_robot_slam.watch.page import Page
 
@@ -54,6 +69,7 @@ class Watch(EdgeNode):
 
     def work(self) -> float:
         """Bring the page up to date."""
+        self.done = self._life.ends_with not in (0, os.getppid())
         if self._watched is not None:
             self._page.draw(self._watched)
         return super().work()

@@ -2,9 +2,12 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
+import urllib.error
+import urllib.request
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +16,12 @@ from patience import PATIENCE_S
 
 from msg_defs import scenario_file, topics, wire
 from multi_robot_slam.bags import BagReader
-from multi_robot_slam.cli import simulated
+from multi_robot_slam.cli import processes, simulated
 from multi_robot_slam.cli.maps import FILE
 from multi_robot_slam.config import SECTION, Config
 from multi_robot_slam.front_end.settings import DESCRIPTOR_GATE
 from multi_robot_slam.pipeline import map_files
+from multi_robot_slam.watch import address
 from sim_world import cli as sim_world_cli
 from sim_world.scenario import SECTION as WORLD_SECTION
 from sim_world.scenario import Scenario
@@ -123,6 +127,49 @@ def test_places_that_nobody_told_are_found_also_in_the_map_of_another_day(start,
     before, after = (map_files.read(folder / FILE).kept for folder in (first, out))
     assert np.isin(before.ids, after.ids).mean() > 0.5
     assert after.observations.sum() > 1.5 * before.observations.sum()
+
+
+def served(where):
+    try:
+        with urllib.request.urlopen(where, timeout=PATIENCE_S) as answer:
+            return b"<html" in answer.read()
+    except urllib.error.URLError:
+        return False
+
+
+def test_the_page_is_there_from_the_beginning_to_the_end(start):
+    process = start(SMALL, "--speed", "5")
+    first = process.stdout.readline()
+    where = re.fullmatch(r"Watch it at (http://127\.0\.0\.1:\d+)\n", first)[1]
+    nodes.wait_until(lambda: served(where) or process.poll() is not None)
+    assert served(where)
+    for line in process.stdout:
+        if "Figures of merit" in line:
+            assert served(where)
+    assert process.wait(PATIENCE_S) == 0, process.stderr.read()
+    assert not served(where)
+
+
+def test_there_is_no_page_if_none_is_wanted_and_the_results_are_the_same(start, tmp_path):
+    process = start(SMALL, "--speed", "0", "--no-watch")
+    printed, said = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, said
+    assert "http://" not in printed + said
+    without = (tmp_path / "out" / "trajectory_robot_1.tum").read_bytes()
+    (tmp_path / "out").rename(tmp_path / "without")
+    process = start(SMALL, "--speed", "0")
+    _, said = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, said
+    assert (tmp_path / "out" / "trajectory_robot_1.tum").read_bytes() == without
+
+
+def test_without_viser_the_demo_goes_on(monkeypatch, capfd):
+    monkeypatch.setattr(address, "find_spec", lambda name: None)
+    with processes.watching():
+        pass
+    said = capfd.readouterr()
+    assert "no page to watch it: no module 'viser'" in said.err
+    assert said.out == ""
 
 
 def test_a_generated_bag_holds_what_a_recorded_one_does(start, tmp_path, program):

@@ -1,5 +1,6 @@
 """The node that shows a fusion: what it listens to, when, and what it makes of it."""
 
+import os
 import urllib.request
 
 import pytest
@@ -109,6 +110,18 @@ def test_an_address_that_others_can_reach_is_warned_of(capfd):
         node.close()
         node.destroy_node()
     assert "without password" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(("parent", "is_over"), [(0, False), (os.getppid(), False), (1, True)])
+def test_it_ends_with_the_process_that_started_it(parent, is_over):
+    if os.getppid() == 1:
+        pytest.skip("this process has no parent to speak of")
+    with nodes.ros("-p", "port:=18330", "-p", f"ends_with:={parent}"):
+        node = watch.Watch()
+        node.work()
+        assert node.done == is_over
+        node.close()
+        node.destroy_node()
 
 
 def test_without_viser_it_is_one_line(monkeypatch, capfd):

@@ -131,6 +131,13 @@ def test_configuration_is_found_from_code_and_in_share(prefix, tmp_path):
             assert filecmp.cmp(file, ROOT / "msg_defs" / "config" / file.name, shallow=False)
 
 
+def test_ros2_launch_finds_the_launch_files(prefix):
+    share = prefix / "share" / "multi_robot_slam" / "launch"
+    assert [file.name for file in share.glob("*.py")] == ["team.launch.py"]
+    for file in (ROOT / "launch").glob("*.launch.py"):
+        assert filecmp.cmp(file, share / file.name, shallow=False)
+
+
 def test_every_module_and_data_file_is_installed(prefix, tmp_path):
     locate = "import msg_defs; print(msg_defs.__path__[0])"
     installed = Path(_run(prefix / "bin" / "python3", "-c", locate, cwd=tmp_path).strip()).parent
