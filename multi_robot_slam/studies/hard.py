@@ -2,13 +2,14 @@
 
 from collections import defaultdict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from msg_defs.errors import InputError
 from multi_robot_slam import runs
-from multi_robot_slam.pipeline import offline
+from multi_robot_slam.pipeline import map_files, offline
 from multi_robot_slam.pipeline.pipeline import Pipeline
+from multi_robot_slam.runs.associations import associations, origins
 from multi_robot_slam.studies import (
     accuracy,
     experiments,
@@ -19,7 +20,7 @@ from multi_robot_slam.studies import (
     table,
 )
 from multi_robot_slam.studies.exploration import Base
-from multi_robot_slam.studies.hard_changes import Told
+from multi_robot_slam.studies.hard_changes import Loaded, Told
 from multi_robot_slam.studies.hard_figures import Outcome
 from multi_robot_slam.studies.hard_table import Key, Row, key_of
 from multi_robot_slam.studies.hard_worlds import WORLDS
@@ -104,11 +105,16 @@ def compute(job: Job) -> list[Row]:
         for name in {hard_worlds.simulation_of(name) for name in (job.exact, *job.worlds)}
     }
     exact = run(told[job.exact], with_optimum)
+    loaded = None
+    if any(WORLDS[name].is_next_day for name in job.worlds):
+        loaded = mapped(hard_worlds.day_before(job.base, job.robots, job.seed))
     rows = []
     for name in job.worlds:
         found = exact
         if name != job.exact:
             own = hard_worlds.changed(name, told[hard_worlds.simulation_of(name)])
+            if WORLDS[name].is_next_day:
+                own = replace(own, loaded=loaded)
             found = run(own, WORLDS[name].has_optimum)
         rows.append(hard_figures.row(name, found, exact))
     return rows
@@ -116,7 +122,8 @@ def compute(job: Job) -> list[Row]:
 
 def run(told: Told, with_optimum: bool) -> Outcome:
     """The run of a fusion that is told this."""
-    pipeline = Pipeline(told.config, keeps_frames=with_optimum)
+    kept = None if told.loaded is None else told.loaded.kept
+    pipeline = Pipeline(told.config, keeps_frames=with_optimum, kept=kept)
     pipeline.warm_up()
     predictions = runs.Predictions()
     steps = offline.run_through(pipeline, told.events, on_prediction=predictions.add)
@@ -128,3 +135,15 @@ def run(told: Told, with_optimum: bool) -> Outcome:
         )
     pipeline.close()
     return Outcome(told, made, optimum, pipeline.noise.factors)
+
+
+def mapped(told: Told) -> Loaded:
+    """The map that a team leaves."""
+    pipeline = Pipeline(told.config, keeps_frames=False)
+    pipeline.warm_up()
+    steps = offline.run_through(pipeline, told.events)
+    made = offline.assemble(pipeline, told.recorded, steps, runs.Predictions())
+    kept = map_files.closed(pipeline)
+    pipeline.close()
+    sources = origins(associations(made)).landmarks
+    return Loaded(kept, {n: sources[n] for n in kept.ids.tolist() if n in sources})

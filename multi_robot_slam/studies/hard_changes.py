@@ -7,12 +7,14 @@ nothing changes but what the change is about: robots drive, and see, as they did
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from msg_defs.types import Event, LandmarkMap, ObservationSet, PoseSample, Trajectory
 from multi_robot_slam import runs
 from multi_robot_slam.config import UNKNOWN, Config, StartPose
+from multi_robot_slam.filter.kept import KeptMap
 from multi_robot_slam.models.motion import MotionSettings, increment
 from multi_robot_slam.runs.trajectory_errors import at, wrap
 from sim_world import stereo
@@ -29,6 +31,14 @@ BACK_AFTER_S = 5.0
 """A fusion that was killed is there again: it starts, and loads what is compiled."""
 NEAREST_M = 0.5
 """Nearest random position of an observation."""
+
+
+class Loaded(NamedTuple):
+    """The map that a team left the day before, with which the fusion begins."""
+
+    kept: KeptMap
+    sources: dict[int, int]
+    """Id -> row in the true map, of the landmarks that come from one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +62,7 @@ class Told:
     """True standard deviations of odometry and camera over those that the fusion is told."""
     old_places: dict[int, np.ndarray] = field(default_factory=dict)
     """Row in the true map -> (3,) where a landmark was before it moved."""
+    loaded: Loaded | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -131,6 +142,27 @@ def one_start_known(told: Told, rng: np.random.Generator) -> Told:
     """Of one robot alone it is said where it starts."""
     known = _anyone(told, rng)
     return _unknown(told, tuple(name for name in told.names if name != known))
+
+
+def all_starts_unknown(told: Told, rng: np.random.Generator) -> Told:
+    """Of no robot it is said where it starts."""
+    return _unknown(told, told.names)
+
+
+def only_localised(told: Told, rng: np.random.Generator) -> Told:
+    """The map does not change."""
+    own = replace(told.config.filter, mapping=False)
+    return replace(told, config=replace(told.config, filter=own))
+
+
+def landmarks_gone(share: float) -> Change:
+    """Each landmark is gone with this probability: nobody sees it any more."""
+
+    def change(told: Told, rng: np.random.Generator) -> Told:
+        is_gone = rng.random(len(told.landmarks.ids)) < share
+        return _only_seen(told, lambda seen, rows: ~is_gone[rows])
+
+    return change
 
 
 def walls_thrice(told: Told, rng: np.random.Generator) -> Told:
@@ -534,14 +566,24 @@ def _seen(told: Told, change: Callable[[ObservationSet, np.ndarray], Observation
 
     `change` takes a frame and the true landmark of each observation.
     """
+    truth = told.recorded.observation_truth
+    events = tuple(
+        change(e, truth[e.robot, e.stamp_ns]) if isinstance(e, ObservationSet) else e
+        for e in told.events
+    )
+    changed = replace(told, events=events)
+    return _only_seen(changed, lambda seen, rows: seen.positions[:, 2] > MIN_DEPTH_M)
+
+
+def _only_seen(told: Told, which: Callable[[ObservationSet, np.ndarray], np.ndarray]) -> Told:
+    """With some observations alone: `which` (B,) of a frame, given the true landmark of each."""
     events, truth = [], dict(told.recorded.observation_truth)
     for event in told.events:
         if isinstance(event, ObservationSet):
             key = event.robot, event.stamp_ns
-            event = change(event, truth[key])
-            valid = event.positions[:, 2] > MIN_DEPTH_M
-            if not valid.all():
-                event, truth[key] = _only(event, valid), truth[key][valid]
+            stays = which(event, truth[key])
+            if not stays.all():
+                event, truth[key] = _only(event, stays), truth[key][stays]
         events.append(event)
     recorded = replace(told.recorded, observation_truth=truth)
     return replace(told, events=tuple(events), recorded=recorded)

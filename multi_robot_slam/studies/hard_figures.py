@@ -5,13 +5,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from msg_defs.topics import MAP_FRAME
 from msg_defs.types import ObservationSet, Trajectory
 from multi_robot_slam import runs
-from multi_robot_slam.runs.associations import associations, origins
+from multi_robot_slam.runs.associations import Origins, associations, origins
 from multi_robot_slam.runs.consistency import nees, published_means
-from multi_robot_slam.runs.map_errors import attributed
+from multi_robot_slam.runs.map_errors import attributed, place_errors
 from multi_robot_slam.runs.trajectory_errors import alignment, at, rmse, rotation, wrap
-from multi_robot_slam.studies.hard_changes import Told
+from multi_robot_slam.studies.hard_changes import Loaded, Told
 from multi_robot_slam.studies.hard_table import Row
 from multi_robot_slam.studies.hard_worlds import EXACTS, WORLDS
 from sim_world.robot import START_NS
@@ -81,6 +82,9 @@ def row(name: str, outcome: Outcome, exact: Outcome) -> Row:
     later_ns = known_ns + int(LATER_S * 1e9)
     others = [robot for robot in told.names if robot not in told.culprits]
     figures, exact_figures = runs.evaluate(run), runs.evaluate(exact.run)
+    map_m, exact_map_m = figures["map_rmse_m"], exact_figures["map_rmse_m"]
+    if told.loaded is not None:
+        map_m, exact_map_m = map_errors(run, told.loaded)
     later, exact_later = since(own, later_ns), since(reference, later_ns)
     judged = {
         "published": own,
@@ -113,8 +117,8 @@ def row(name: str, outcome: Outcome, exact: Outcome) -> Row:
         others_m=error(own, others, told.begins_ns),
         exact_others_m=error(reference, others, told.begins_ns),
         nees=_nees(judged),
-        map_m=figures["map_rmse_m"],
-        exact_map_m=exact_figures["map_rmse_m"],
+        map_m=map_m,
+        exact_map_m=exact_map_m,
         landmark_nees=figures["landmark_nees"],
         duplicates=figures["duplicates"],
         exact_duplicates=exact_figures["duplicates"],
@@ -202,21 +206,24 @@ def first_meeting(told: Told) -> int:
 def all_in_common(told: Told) -> int:
     """When each culprit had eight landmarks in common with robots tied by these before it [ns].
 
-    Robots that are not culprits are together to begin with.
+    Robots that are not culprits are together to begin with, and what is in a loaded map is theirs.
     """
     truth = told.recorded.observation_truth
     seen: dict[str, set[int]] = {name: set() for name in told.names}
-    groups = {name: {name} if name in told.culprits else set() for name in told.names}
     placed = set(told.names) - set(told.culprits)
+    if told.loaded is not None:
+        seen[MAP_FRAME] = set(told.loaded.sources.values())
+        placed.add(MAP_FRAME)
+    groups = {name: {name} for name in told.culprits}
     for name in placed:
         groups[name] = placed
     for stamp, robot in sorted((stamp, robot) for robot, stamp in truth):
         seen[robot] |= set(truth[robot, stamp].tolist())
-        for other in told.names:
+        for other in seen:
             if other not in groups[robot] and _have_in_common(seen, groups[robot], groups[other]):
                 together = groups[robot] | groups[other]
                 groups |= dict.fromkeys(together, together)
-        if len(groups[robot]) == len(told.names):
+        if len(groups[robot]) == len(seen):
             return stamp
     return told.end_ns
 
@@ -265,6 +272,24 @@ def telling_frames(told: Told, since_ns: int, until_ns: int) -> int:
         for key, rows in truth.items()
         if key in sent and key[0] in told.culprits and since_ns < key[1] <= until_ns
     )
+
+
+def map_errors(run: runs.Run, loaded: Loaded) -> tuple[float | None, float | None]:
+    """RMS errors of the map and of that of the day before [m], of true landmarks in both."""
+    assert run.true_landmarks is not None
+    origin = Origins(origins(associations(run)).landmarks | loaded.sources, frozenset())
+    errors = []
+    for landmarks in (run.landmarks, loaded.kept.landmark_map()):
+        found = attributed(landmarks, origin)
+        rows = place_errors(landmarks, run.true_landmarks, found)[found.is_first]
+        errors.append(dict(zip(found.sources[found.is_first].tolist(), rows, strict=True)))
+    now, then = errors
+    common = sorted(now.keys() & then.keys())
+    return rmse(_rows(now, common)), rmse(_rows(then, common))
+
+
+def _rows(errors: Mapping[int, np.ndarray], of: Iterable[int]) -> np.ndarray:
+    return np.array([errors[source] for source in of]).reshape(-1, 3)
 
 
 def old_places(outcome: Outcome) -> int:

@@ -43,6 +43,7 @@ class Row:
     """Of what is judged in this world."""
     map_m: float | None
     exact_map_m: float | None
+    """Where a map was loaded, of that; and both of the landmarks that are in both."""
     landmark_nees: float | None
     duplicates: int
     exact_duplicates: int
@@ -144,6 +145,9 @@ TARGETS = {
     "unknown-one": Target(ratio=1.3, noticed=True, nees=True),
     "unknown-one-copies": Target(ratio=1.3),
     "unknown-all-but-one": Target(ratio=1.3, noticed=True, nees=True),
+    "next-day": Target(ratio=1.1, map_ratio=1.0),
+    "next-day-tenth-gone": Target(ratio=1.1, map_ratio=1.0),
+    "next-day-mapping": Target(ratio=1.1, map_ratio=1.0),
     "odometry-3": Target(ratio=1.2, factor=True),
     "odometry-3-told": Target(),
     "odometry-third": Target(ratio=1.2, factor=True),

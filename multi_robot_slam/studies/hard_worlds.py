@@ -12,6 +12,8 @@ from multi_robot_slam.config import Config
 from multi_robot_slam.studies import experiment_grid, exploration
 from multi_robot_slam.studies import hard_changes as changes
 from multi_robot_slam.studies.accuracy_table import REJUVENATED
+from multi_robot_slam.studies.experiment_grid import GOLDEN
+from multi_robot_slam.studies.experiment_table import Trial
 from multi_robot_slam.studies.exploration import Base
 from multi_robot_slam.studies.hard_changes import Change, Told
 
@@ -19,6 +21,8 @@ ODOMETRY_PER_FRAME = 10
 """Frames at 2 Hz, as in the scenario, and odometry at 20 Hz."""
 
 EXACTS = EXACT, EXACT_CERTAIN, EXACT_TWICE = "exact", "exact-certain", "exact-2-rounds"
+DAY_BEFORE = 1_000_000
+"""Added to a seed: no two drives have the same noise."""
 NEAR, FAR = (0.05, 2.0), (0.3, 10.0)
 """How far a start is off [m, degrees]."""
 FAR_SIGMA = (0.3, 0.175)
@@ -42,6 +46,8 @@ class World:
     seen tells where `map` is; or each robot's since its place is known."""
     has_optimum: bool = False
     """Also compared with the filtering optimum."""
+    is_next_day: bool = False
+    """The fusion begins with the map of the `day_before`."""
 
 
 WORLDS: dict[str, World] = {
@@ -58,6 +64,19 @@ WORLDS: dict[str, World] = {
         changes.in_turn(changes.walls_thrice, changes.one_start_unknown), judged="tied"
     ),
     "unknown-all-but-one": World(changes.one_start_known, judged="tied"),
+    "next-day": World(
+        changes.in_turn(changes.all_starts_unknown, changes.only_localised),
+        judged="tied",
+        is_next_day=True,
+    ),
+    "next-day-tenth-gone": World(
+        changes.in_turn(
+            changes.landmarks_gone(0.1), changes.all_starts_unknown, changes.only_localised
+        ),
+        judged="tied",
+        is_next_day=True,
+    ),
+    "next-day-mapping": World(changes.all_starts_unknown, judged="tied", is_next_day=True),
     "odometry-3": World(changes.odometry_noise(3.0)),
     "odometry-3-told": World(changes.odometry_noise(3.0, is_told=True)),
     "odometry-third": World(changes.odometry_noise(1 / 3)),
@@ -111,10 +130,19 @@ def simulated(base: Base, name: str, robots: int, seed: int) -> Told:
     """What the team of a seed sends in the simulation of a world, before anything is changed."""
     world = WORLDS[name]
     trial = experiment_grid.usual(base, robots, "informed", seed)
-    scenario = replace(base.scenario, odometry_per_frame=ODOMETRY_PER_FRAME, laps=world.rounds)
-    explored = exploration.explore(
-        replace(base, scenario=scenario), replace(trial, **world.simulated)
-    )
+    return _simulated(base, replace(trial, **world.simulated), world.rounds)
+
+
+def day_before(base: Base, robots: int, seed: int) -> Told:
+    """What the same team sent in the exact world the day before: its tour began elsewhere."""
+    trial = experiment_grid.usual(base, robots, "informed", seed)
+    begun = (trial.start_offset + GOLDEN) % 1
+    return _simulated(base, replace(trial, seed=DAY_BEFORE + seed, start_offset=begun))
+
+
+def _simulated(base: Base, trial: Trial, rounds: int = 1) -> Told:
+    scenario = replace(base.scenario, odometry_per_frame=ODOMETRY_PER_FRAME, laps=rounds)
+    explored = exploration.explore(replace(base, scenario=scenario), trial)
     config = exploration.configure(explored, base.keyframe, base.filters[REJUVENATED])
     config = replace(config, start_sigma=Config().start_sigma)
     events = tuple(e for instant in explored.instants for step in instant for e in step.events)

@@ -17,6 +17,7 @@ from multi_robot_slam.runs.trajectory_errors import at, rotation
 from multi_robot_slam.studies import (
     accuracy,
     hard,
+    hard_changes,
     hard_figures,
     hard_table,
     hard_worlds,
@@ -29,6 +30,7 @@ from sim_world.robot import START_NS
 
 SECOND = 1_000_000_000
 SEED = 3
+NEXT_DAY = ("next-day", "next-day-mapping")
 
 
 @pytest.fixture(scope="module")
@@ -234,6 +236,40 @@ def test_of_one_robot_or_of_all_but_one_the_start_is_unknown(base):
         assert len(own.culprits) == 3 - own.config.are_known.sum() == count
         assert replace(own.config, start_poses=told.config.start_poses) == told.config
         assert own.events == told.events
+
+
+def test_the_next_day_the_same_is_sent_and_no_start_is_known(worlds):
+    exact = worlds(EXACT)
+    for name, mapping in (("next-day", False), ("next-day-mapping", True)):
+        told = worlds(name)
+        assert told.events == exact.events
+        assert not told.config.are_known.any()
+        assert told.culprits == told.names
+        assert told.config.filter.mapping is mapping
+
+
+def test_of_landmarks_that_are_gone_nobody_sees_any(worlds):
+    exact, told = worlds(EXACT), worlds("next-day-tenth-gone")
+    before, after = (
+        {r for rows in own.recorded.observation_truth.values() for r in rows.tolist()}
+        for own in (exact, told)
+    )
+    assert after < before
+    assert 0.8 < len(after) / len(before) < 0.97
+    for old, new in zip(frames(exact), frames(told), strict=True):
+        rows = exact.recorded.observation_truth[old.robot, old.stamp_ns]
+        stays = np.isin(rows, list(after))
+        assert np.array_equal(told.recorded.observation_truth[key(new)[1:]], rows[stays])
+        assert np.array_equal(new.positions, old.positions[stays])
+
+
+def test_the_day_before_was_another_drive_through_the_same_building(base, worlds):
+    exact, before = worlds(EXACT), hard_worlds.day_before(base, 2, SEED)
+    assert np.array_equal(before.landmarks.positions, exact.landmarks.positions)
+    assert before.config.seed != exact.config.seed
+    for here, there in zip(exact.config.start_poses, before.config.start_poses, strict=True):
+        assert np.hypot(*(np.subtract(here, there)[:2])) > 3
+    assert before.config.are_known.all()
 
 
 def test_swapped_robots_start_where_the_other_is_said_to(worlds):
@@ -594,12 +630,25 @@ def test_all_have_eight_landmarks_in_common_with_those_tied_in_before_them():
         ("c", 6): np.arange(1),
     }
     recorded = SimpleNamespace(observation_truth=truth)
-    told = SimpleNamespace(recorded=recorded, names=("a", "b", "c"), culprits=("b", "c"), end_ns=9)
+    told = SimpleNamespace(
+        recorded=recorded, names=("a", "b", "c"), culprits=("b", "c"), end_ns=9, loaded=None
+    )
     assert hard_figures.all_in_common(told) == 5  # b and c at 4, of which b has the eighth of a
     told.culprits = ("b",)
     assert hard_figures.all_in_common(told) == 4
     del truth["c", 4]
     assert hard_figures.all_in_common(told) == 9
+
+
+def test_what_is_in_a_loaded_map_is_in_common_with_it():
+    truth = {("a", 1): np.arange(8), ("b", 2): np.arange(20, 30), ("a", 3): np.arange(20, 24)}
+    recorded = SimpleNamespace(observation_truth=truth)
+    names = ("a", "b")
+    told = SimpleNamespace(recorded=recorded, names=names, culprits=names, end_ns=9)
+    for count, expected in ((8, 2), (6, 3), (5, 9)):
+        sources = {100 + n: n for n in (*range(count), *range(22, 30))}
+        told.loaded = hard_changes.Loaded(None, sources)
+        assert hard_figures.all_in_common(told) == expected
 
 
 def test_a_robot_is_placed_when_it_is_published_where_it_is():
@@ -694,7 +743,9 @@ def test_old_places_are_landmarks_of_the_map_where_what_moved_was():
 
 @pytest.fixture(scope="module")
 def rows(base):
-    return hard.compute(Job(base, EXACT, 2, 0, (EXACT, "start-far", "robot-late", "slip")))
+    return hard.compute(
+        Job(base, EXACT, 2, 0, (EXACT, "start-far", "robot-late", "slip", *NEXT_DAY))
+    )
 
 
 def test_a_run_in_the_exact_world_is_its_own_reference(rows):
@@ -720,6 +771,16 @@ def test_of_a_robot_that_is_late_what_comes_10_s_after_is_judged(rows):
     assert late.ratio == late.later_m / late.exact_later_m
     assert late.exact_later_m != late.exact_published_m
     assert late.later_aligned_m <= late.later_m
+
+
+def test_the_next_day_robots_are_found_in_a_map_that_stays_as_it_is(rows):
+    localised, mapping = rows[4:6]
+    for row in (localised, mapping):
+        assert row.ratio == row.published_m / row.exact_published_m
+        assert row.noticed_s is not None  # each was published first where it is
+        assert row.exact_map_m > 0
+    assert localised.map_m == localised.exact_map_m
+    assert mapping.map_m != mapping.exact_map_m
 
 
 def test_an_interrupted_study_goes_on_where_it_stopped(base, tmp_path):
