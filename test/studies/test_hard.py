@@ -645,7 +645,7 @@ def test_what_is_in_a_loaded_map_is_in_common_with_it():
     recorded = SimpleNamespace(observation_truth=truth)
     names = ("a", "b")
     told = SimpleNamespace(recorded=recorded, names=names, culprits=names, end_ns=9)
-    for count, expected in ((8, 2), (6, 3), (5, 9)):
+    for count, expected in ((8, 2), (4, 3), (3, 9)):
         sources = {100 + n: n for n in (*range(count), *range(22, 30))}
         told.loaded = hard_changes.Loaded(None, sources)
         assert hard_figures.all_in_common(told) == expected
