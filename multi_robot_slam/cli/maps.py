@@ -1,4 +1,4 @@
-"""`map ...`: what is in a map that was saved; and what `run` does with maps."""
+"""`map ...`: what is in a map that was saved, two as one; and what `run` does with maps."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from msg_defs.errors import InputError
-from multi_robot_slam.cli.terminal import console, warn
+from multi_robot_slam.cli.terminal import console, messages, warn
 
 if TYPE_CHECKING:
     from multi_robot_slam.config import Config
     from multi_robot_slam.pipeline.map_files import MapFile
+    from multi_robot_slam.pipeline.map_merging import MergedFile
     from multi_robot_slam.pipeline.pipeline import Pipeline
     from multi_robot_slam.runs import Run
 
@@ -64,6 +65,30 @@ def export(
         console.print(f"Everything is in {folder}", markup=False)
 
 
+@app.command()
+def merge(
+    one: MapArgument,
+    other: MapArgument,
+    out: Annotated[Path, typer.Option(metavar="FILE", help="Map to write; it must not exist yet.")],
+) -> None:
+    """Merge the maps of two teams that knew nothing of each other into one, in the first's frame.
+
+    Where the second lies in the first is told by landmarks that look alike, and refused, with the
+    numbers, where they do not tell. What both have seen becomes one, and better known; robots of
+    the same name are the same. `run --map` goes on in the result.
+    """
+    from multi_robot_slam.pipeline import map_files, map_merging
+
+    if out.exists():
+        raise InputError(f"{out} exists; remove it or choose another with --out")
+    with messages.status("merging"):
+        made = map_merging.merge(*(map_files.read(path) for path in (one, other)))
+    map_files.write(out, made.about, made.kept)
+    for line in _merged(made):
+        console.print(line, markup=False, highlight=False, soft_wrap=True)
+    console.print(f"The map is in {out}", markup=False)
+
+
 def found(named: Path) -> Path:
     """The map that is meant by its file, with or without `.npz`, or by the folder of a run."""
     places = (named, named / FILE, named.with_name(f"{named.name}.npz"))
@@ -96,6 +121,23 @@ def leave(pipeline: "Pipeline", result: "Run", folder: Path) -> None:
         map_files.write(folder / FILE, about, map_files.closed(pipeline))
     except InputError as error:
         warn(f"{FILE}: {error}")
+
+
+def _merged(made: "MergedFile") -> list[str]:
+    published = int(made.kept.published.sum())
+    total = f"landmarks: {published} published, {len(made.kept.ids)} in all"
+    robots = f"robots: {', '.join(made.about['robots'])}"
+    if made.merged is None or made.vote is None:
+        return ["both are the same map", robots, total]
+    x, y, yaw = made.merged.pose.tolist()
+    return [
+        f"the second map lies at [{x:.2f}, {y:.2f}, {yaw:.3f}] in the first, by "
+        f"{len(made.vote.pairs)} landmarks of {made.vote.things} places that agree, "
+        f"{made.vote.runner_up} do by another pose",
+        f"{made.merged.joined} landmarks are in both, and one from now on",
+        robots,
+        total,
+    ]
 
 
 def _told(file: "MapFile") -> list[str]:

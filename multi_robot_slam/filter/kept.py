@@ -95,7 +95,7 @@ def closed(old: Snapshot, settings: FilterSettings, rng: np.random.Generator) ->
     rows = np.searchsorted(old.held.ids, ids)
     is_in_map = old.held.pieces[rows] == MAP
     prior, descriptors = prior.of(centres[is_in_map]), old.held.descriptors[rows[is_in_map]]
-    return _kept(prior, descriptors, existence, covisible, seen, old.held.next_id, settings)
+    return assembled(prior, descriptors, existence, covisible, seen, old.held.next_id, settings)
 
 
 def independent(state: State, settings: FilterSettings) -> KeptMap:
@@ -128,7 +128,7 @@ def independent(state: State, settings: FilterSettings) -> KeptMap:
     covisible = state.covisible.also(records, identities, Aliases())
     prior = _independent_prior(ids, values)
     descriptors = landmarks.descriptors[columns]
-    return _kept(prior, descriptors, existence, covisible, seen, landmarks.next_id, settings)
+    return assembled(prior, descriptors, existence, covisible, seen, landmarks.next_id, settings)
 
 
 def _independent_prior(ids: np.ndarray, values: np.ndarray) -> Prior:
@@ -142,7 +142,7 @@ def _independent_prior(ids: np.ndarray, values: np.ndarray) -> Prior:
     return Prior(np.empty((0, 3)), ids, values[:, :3], inverses(own), covariance)
 
 
-def _kept(
+def assembled(
     prior: Prior,
     descriptors: np.ndarray,
     existence: Existence,

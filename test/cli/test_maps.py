@@ -65,6 +65,32 @@ def test_robots_start_anywhere_in_a_map(command, bag, first, tmp_path, mapping):
     assert command("evaluate", tmp_path / "next")[0] == 0
 
 
+def test_two_maps_are_merged(command, bag, first, tmp_path):
+    """Of the same map there is nothing to learn; of what goes back to it too much."""
+    code, told, _ = command("map", "merge", first, first, "--out", tmp_path / "c.npz")
+    assert code == 0
+    assert "both are the same map" in told
+    for name, array in arrays(first).items():
+        assert (arrays(tmp_path / "c.npz")[name] == array).all()
+    assert "exists" in command("map", "merge", first, first, "--out", tmp_path / "c.npz")[2]
+    assert command("run", bag, "--map", first, "--out", tmp_path / "next")[0] == 0
+    words = ("map", "merge", first, tmp_path / "next" / FILE, "--out", tmp_path / "d.npz")
+    code, _, told = command(*words)
+    assert (code, told.count("\n")) == (2, 1)
+    assert "would count twice" in told
+    scenario = Scenario(robots=2, observations=10)
+    recordings.record(tmp_path / "again", scenario, seed=9, steps=50, particles=60)
+    assert command("run", tmp_path / "again", "--out", tmp_path / "other")[0] == 0
+    words = ("map", "merge", first, tmp_path / "other" / FILE, "--out", tmp_path / "d.npz")
+    code, told, _ = command(*words)
+    assert code == 0
+    assert "the second map lies at [" in told
+    assert "landmarks are in both, and one from now on" in told
+    count = len(arrays(tmp_path / "d.npz")["map/ids"])
+    assert f", {count} in all" in told
+    assert command("map", "info", tmp_path / "d.npz")[0] == 0
+
+
 def test_a_map_is_described_and_exported(command, first, tmp_path):
     code, told, _ = command("map", "info", first)
     assert code == 0
