@@ -82,7 +82,7 @@ def merge(
     if out.exists():
         raise InputError(f"{out} exists; remove it or choose another with --out")
     with messages.status("merging"):
-        made = map_merging.merge(*(map_files.read(path) for path in (one, other)))
+        made = map_merging.merge(*(map_files.read(found(path)) for path in (one, other)))
     map_files.write(out, made.about, made.kept)
     for line in _merged(made):
         console.print(line, markup=False, highlight=False, soft_wrap=True)
