@@ -127,6 +127,15 @@ class Existence:
             np.zeros(robots, np.int64),
         )
 
+    def with_another(self, robot: int) -> "Existence":
+        """With another robot after the others, whose camera is that of `robot`."""
+        return Existence(
+            self.evidence,
+            self.views.with_another(robot),
+            np.vstack([self.anchors, np.full(3, FAR)]),
+            np.append(self.visits, 0),
+        )
+
     def seen(self, frames: Frames) -> Views:
         """Where cameras find landmarks again, by these and more `frames`."""
         robots = np.repeat(frames.robots, np.diff(frames.starts))

@@ -91,6 +91,7 @@ def closed(old: Snapshot, settings: FilterSettings, rng: np.random.Generator) ->
     `SmoothingError` where its history cannot be smoothed.
     """
     prior, existence, covisible, seen = rejuvenation.all_settled(old, settings, rng)
+    seen = replace(seen, robots=old.pieces.bits_of_team(seen.robots))
     ids, centres = np.unique(prior.ids, return_index=True)
     rows = np.searchsorted(old.held.ids, ids)
     is_in_map = old.held.pieces[rows] == MAP
@@ -113,6 +114,7 @@ def independent(state: State, settings: FilterSettings) -> KeptMap:
     records, rows = [record for record, _ in lineage], [row for _, row in lineage]
     identities = [record.matches[:, row] for record, row in lineage]
     seen = state.history.settled.seen.also(records, identities)
+    seen = replace(seen, robots=state.pieces.bits_of_team(seen.robots))
     is_in_map = landmarks.pieces[columns] == MAP
     columns, values = columns[is_in_map], values[is_in_map]
     ids, values = landmarks.ids[columns].astype(np.int64), values.astype(float)

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from multi_robot_slam.filter.settled import MOST_ROBOTS
 from multi_robot_slam.filter.views import BEARING_RAD, Views, is_in_view
 from multi_robot_slam.models.compiled import kernel
 from multi_robot_slam.models.frames import Record
@@ -120,7 +121,7 @@ def go_through(
                 else:
                     failed[n] += 1
                     in_a_row[n] += 1
-        place = visits[robot] * len(visits) + robot
+        place = visits[robot] * MOST_ROBOTS + robot
         for o in range(first, last):
             n = rows[o]
             if n < 0:

@@ -1,6 +1,9 @@
 """Which robots belong together: a piece is robots and landmarks in a frame of their own.
 
 Nothing in one piece says where anything in another is, until both are tied (`tying`).
+
+A robot that was lost goes on as another one (`losing`): what the filter calls a robot is one of the
+team between two losses. So there may be more robots than the team has.
 """
 
 from dataclasses import replace
@@ -22,6 +25,9 @@ class Pieces(NamedTuple):
 
     of_robots: np.ndarray
     """(K,) int64."""
+    team: np.ndarray
+    """(K,) int64: which one of the team each is; of several that are the same the last one goes on,
+    the others have no more frames."""
     votes: tuple[tuple[int, int, Vote], ...] = ()
     """Those in a row that were believed, of each two pieces, oldest first."""
     pairs: np.ndarray = np.empty((0, 2), np.int64)
@@ -33,7 +39,20 @@ class Pieces(NamedTuple):
     @classmethod
     def of_starts(cls, are_known: np.ndarray) -> "Pieces":
         """Each robot whose start is not among those that `are_known` (K,) is a piece of its own."""
-        return cls(np.where(are_known, MAP, np.arange(1, len(are_known) + 1)))
+        robots = np.arange(len(are_known))
+        return cls(np.where(are_known, MAP, robots + 1), robots)
+
+    def with_another(self, robot: int) -> "Pieces":
+        """With another robot after the others, in a piece of its own: `robot` from now on."""
+        of_robots = np.append(self.of_robots, self.of_robots.max() + 1)
+        return self._replace(of_robots=of_robots, team=np.append(self.team, self.team[robot]))
+
+    def bits_of_team(self, robots: np.ndarray) -> np.ndarray:
+        """Bits (n,) of the team, of those of the robots."""
+        bits = np.zeros_like(robots)
+        for robot, own in enumerate(self.team.tolist()):
+            bits |= ((robots >> robot) & 1) << own
+        return bits
 
     @property
     def numbers(self) -> list[int]:

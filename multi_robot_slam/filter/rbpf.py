@@ -9,6 +9,7 @@ from multi_robot_slam.filter import resampling
 from multi_robot_slam.filter.existence import Existence
 from multi_robot_slam.filter.history import History
 from multi_robot_slam.filter.landmarks import Landmarks
+from multi_robot_slam.filter.losing import Lost
 from multi_robot_slam.filter.matching import FrameInfo
 from multi_robot_slam.filter.pieces import Pieces
 from multi_robot_slam.filter.proposals import (
@@ -47,6 +48,8 @@ class StepInfo(NamedTuple):
     """Of the rejuvenation that counts from this step on (`running`)."""
     tied: Tie | None = None
     """What was tied after this step (`running`)."""
+    lost: tuple[Lost, ...] = ()
+    """Robots that go on as others after this step (`running`)."""
 
 
 def init(

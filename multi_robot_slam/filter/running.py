@@ -17,8 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from multi_robot_slam.filter import rbpf, rejuvenation, snapshot, tying
+from multi_robot_slam.filter import losing, rbpf, rejuvenation, snapshot, tying
 from multi_robot_slam.filter.kept import KeptMap, closed, independent, opened
+from multi_robot_slam.filter.losing import Lost, Misled
 from multi_robot_slam.filter.published import are_there
 from multi_robot_slam.filter.rbpf import StepInfo
 from multi_robot_slam.filter.rejuvenation import FAILURES, Rejuvenated
@@ -72,7 +73,15 @@ class ParticleFilter:
         self._settings = settings
         self._rng = rng
         self._begun: _Begun | None = None
+        self._losing: dict[int, Misled | None] = {}
         self._worker = _worker(settings)
+
+    def lose(self, robot: int, misled: Misled | None) -> None:
+        """Have a robot go on as another one as soon as no rejuvenation is under way.
+
+        `misled` as of `losing.lose`.
+        """
+        self._losing[robot] = misled
 
     def step(self, frames: list[RobotFrame]) -> StepInfo:
         """One step over the frames of one instant; raises as `rbpf.step` does."""
@@ -84,18 +93,29 @@ class ParticleFilter:
                 begun, self._begun = self._begun, None
                 info = self._take_over(begun, info)
         if self._begun is None:
-            tied = tying.tie(self.state, self._settings, self._rng)
-            info = info._replace(tied=tied)
-            if self._is_due(tied is not None):
+            lost = self._lose()
+            tied = next((own.tie for own in lost if own.tie is not None), None)
+            if not lost:
+                tied = tying.tie(self.state, self._settings, self._rng)
+            info = info._replace(tied=tied, lost=lost)
+            if self._is_due(tied is not None or len(lost) > 0):
                 self._begin(now_ns)
         return info
 
-    def _is_due(self, is_tied: bool) -> bool:
-        """A rejuvenation begins after this step; `is_tied`: two pieces have become one in it."""
+    def _lose(self) -> tuple[Lost, ...]:
+        lost = [
+            losing.lose(self.state, robot, misled, self._settings, self._rng)
+            for robot, misled in self._losing.items()
+        ]
+        self._losing.clear()
+        return tuple(one for one in lost if one is not None)
+
+    def _is_due(self, is_other: bool) -> bool:
+        """A rejuvenation begins after this step; `is_other`: there are other pieces since."""
         rest = self._settings.rejuvenation
         if not self._settings.mapping:
             return False
-        return rejuvenation.is_due(self.state, rest) or (is_tied and rest.ancestors_below > 0)
+        return rejuvenation.is_due(self.state, rest) or (is_other and rest.ancestors_below > 0)
 
     def closing(self) -> Callable[[], KeptMap]:
         """What makes the map of all steps so far, elsewhere; it changes nothing here.

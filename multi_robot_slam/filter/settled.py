@@ -16,6 +16,9 @@ Parts = tuple[tuple[np.ndarray, np.ndarray, np.ndarray], ...]
 
 MOST_PARTS = 64
 
+MOST_ROBOTS = 63
+"""Bits of a number, without that of the sign."""
+
 
 @dataclass(frozen=True, eq=False)
 class SeenLandmarks:

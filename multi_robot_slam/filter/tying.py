@@ -65,8 +65,19 @@ def tie(state: State, settings: FilterSettings, rng: np.random.Generator) -> Tie
     found, ids = _voted(state, first, second, settings)
     state.pieces = state.pieces.with_vote(first, second, found)
     state.pieces, agreed = _noted(state.pieces, first, second, found)
-    if not agreed or found is None:
-        return None
+    return join(state, first, second, found, ids, settings, rng) if agreed and found else None
+
+
+def join(
+    state: State,
+    first: int,
+    second: int,
+    found: Vote,
+    ids: np.ndarray,
+    settings: FilterSettings,
+    rng: np.random.Generator,
+) -> Tie:
+    """Make two pieces one as a vote says, by which landmarks `ids` (n, 2) are the same."""
     robots = np.flatnonzero(state.pieces.of_robots == second)
     seconds = _seconds_since(state, ids)
     turn(state, second, found, rng)
@@ -75,7 +86,8 @@ def tie(state: State, settings: FilterSettings, rng: np.random.Generator) -> Tie
         tuple(own for own in votes if second not in own[:2])
         for votes in (state.pieces.votes, state.pieces.last)
     )
-    state.pieces = Pieces(of_robots, kept, np.sort(ids, axis=1), last)
+    pairs = np.vstack([state.pieces.pairs, np.sort(ids, axis=1)])
+    state.pieces = Pieces(of_robots, state.pieces.team, kept, pairs, last)
     _join_landmarks(state, first, second, settings)
     return Tie(tuple(robots.tolist()), first, found, seconds)
 
@@ -101,7 +113,21 @@ def _voted(
     landmarks = state.landmarks
     held, _ = landmarks.of_particle(best_particle(state))
     ours, theirs = (held[landmarks.pieces[held] == piece] for piece in (first, second))
-    nothing = np.empty((0, 2), np.int64)
+    return vote_of(state, ours, theirs, settings)
+
+
+def vote_of(
+    state: State,
+    ours: np.ndarray,
+    theirs: np.ndarray,
+    settings: FilterSettings,
+    thing_m: float = vote.THING_M,
+) -> tuple[Vote | None, np.ndarray]:
+    """What the landmarks in the columns `ours` (n,) and `theirs` (m,), of two pieces, say.
+
+    And the ids (k, 2) of those that agree; `thing_m` as of `vote.vote`.
+    """
+    landmarks, nothing = state.landmarks, np.empty((0, 2), np.int64)
     distances = squared_distances(landmarks.descriptors[ours], landmarks.descriptors[theirs])
     alike = np.argwhere(distances <= settings.descriptor_gate)
     if len(alike) < 2:
@@ -114,7 +140,7 @@ def _voted(
         rows.append(np.searchsorted(used, paired))
     weights = resampling.normalise(state.log_weights)
     points = [Points(*np.split(landmarks.mixture(own, weights), [3], axis=1)) for own in columns]
-    found = vote.vote(points[0], points[1], np.column_stack(rows))
+    found = vote.vote(points[0], points[1], np.column_stack(rows), thing_m)
     if found is None:
         return None, nothing
     a, b = found.pairs.T
@@ -136,7 +162,7 @@ def _say_the_same(one: Vote, other: Vote) -> bool:
     """They differ by less than a thing's width where the second's pairs are, and beside that."""
     middle = np.array([[0.0, vote.THING_M], [0.0, 0.0], [0.0, 0.0]])
     middle[:2] += other.middle[:, None]
-    x, y, _ = _composed(one.pose[:, None], middle) - _composed(other.pose[:, None], middle)
+    x, y, _ = composed_of(one.pose[:, None], middle) - composed_of(other.pose[:, None], middle)
     return bool(np.hypot(x, y).max() < vote.THING_M)
 
 
@@ -158,24 +184,24 @@ def turn(state: State, piece: int, found: Vote, rng: np.random.Generator) -> Non
     )
     is_own = state.pieces.of_robots == piece
     for robot in np.flatnonzero(is_own):
-        state.poses[robot] = _composed(drawn, state.poses[robot])
-    _turn_landmarks(state, piece, drawn)
+        state.poses[robot] = composed_of(drawn, state.poses[robot])
+    turn_landmarks(state, piece, drawn)
     known = found.pose[:, None]
     state.optimum = _turned_optimum(state, is_own, known)
     for record in state.history.records:
         if is_own[record.robot]:
-            record.poses = _composed(known, record.poses)
+            record.poses = composed_of(known, record.poses)
             if record.start is not None:
                 record.start = _turned_start(record.start, found)
     state.history.settled = _turned_settled(state.history.settled, is_own, found)
     state.prior = _turned_prior(state, piece, found)
     anchors = state.existence.anchors.copy()
     has_been = is_own & (anchors[:, 0] < FAR / 2)
-    anchors[has_been] = _composed(known, anchors[has_been].T).T
+    anchors[has_been] = composed_of(known, anchors[has_been].T).T
     state.existence = replace(state.existence, anchors=anchors)
 
 
-def _turn_landmarks(state: State, piece: int, drawn: np.ndarray) -> None:
+def turn_landmarks(state: State, piece: int, drawn: np.ndarray) -> None:
     """Means and covariances of the landmarks of a piece, by the poses (3, M)."""
     landmarks = state.landmarks
     columns = landmarks.alive()
@@ -213,7 +239,7 @@ def _turned_optimum(state: State, is_own: np.ndarray, pose: np.ndarray) -> Optim
     poses = state.optimum.poses.copy()
     robots = np.array([r.robot for r in state.history.records[: len(poses)]], int)
     own = is_own[robots]
-    poses[own] = _composed(pose, poses[own].T).T
+    poses[own] = composed_of(pose, poses[own].T).T
     return Optimum(poses, None)
 
 
@@ -227,12 +253,12 @@ def _turned_settled(settled: Settled, is_own: np.ndarray, found: Vote) -> Settle
     parts = []
     for robots, stamps, poses in settled.parts:
         own, moved = is_own[robots], poses.copy()
-        moved[own] = _composed(pose, poses[own].T).T
+        moved[own] = composed_of(pose, poses[own].T).T
         parts.append((robots, stamps, moved))
     frames = []
     for frame in settled.frames:
         if is_own[frame.robot]:
-            frame = frame.with_rows(_composed(pose, frame.poses), frame.matches, frame.parents)
+            frame = frame.with_rows(composed_of(pose, frame.poses), frame.matches, frame.parents)
             if frame.start is not None:
                 frame.start = _turned_start(frame.start, found)
         frames.append(frame)
@@ -248,7 +274,7 @@ def _turned_prior(state: State, piece: int, found: Vote) -> Prior:
     is_own = np.isin(prior.ids, landmarks.ids[alive[landmarks.pieces[alive] == piece]])
     robots, centres = np.flatnonzero(state.pieces.of_robots == piece), np.flatnonzero(is_own)
     poses, places = prior.poses.copy(), prior.centres.copy()
-    poses[robots] = _composed(found.pose[:, None], poses[robots].T).T
+    poses[robots] = composed_of(found.pose[:, None], poses[robots].T).T
     turn = _turn_of(found.pose)
     places[centres] = places[centres] @ turn.T + [*found.pose[:2], 0]
     information = prior.information.copy()
@@ -278,7 +304,7 @@ def _turn_of(pose: np.ndarray) -> np.ndarray:
     return np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
 
 
-def _composed(poses: np.ndarray, seen: np.ndarray) -> np.ndarray:
+def composed_of(poses: np.ndarray, seen: np.ndarray) -> np.ndarray:
     """Poses (3, n) of what is `seen` (3, n) from `poses` (3, n or 1)."""
     seen = seen if seen.ndim == 2 else seen[:, None]
     result = np.repeat(poses, seen.shape[1], axis=1) if poses.shape[1] == 1 else poses.copy()

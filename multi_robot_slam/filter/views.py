@@ -36,6 +36,10 @@ class Views(NamedTuple):
             np.zeros((robots, DISTANCES, ELEVATIONS), np.int32),
         )
 
+    def with_another(self, robot: int) -> "Views":
+        """With another robot after the others, whose camera is that of `robot`."""
+        return Views(*(np.concatenate([own, own[robot : robot + 1]]) for own in self))
+
     def also(self, robots: np.ndarray, rays: np.ndarray) -> "Views":
         """These, and known landmarks along `rays` (O, 3) from their cameras, by `robots` (O,)."""
         result = Views(self.bearings.copy(), self.elevations.copy())

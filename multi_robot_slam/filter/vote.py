@@ -98,27 +98,28 @@ class _Pairs(NamedTuple):
         return _Pairs(*(values[which] for values in self))
 
 
-def vote(ours: Points, theirs: Points, alike: np.ndarray) -> Vote | None:
+def vote(ours: Points, theirs: Points, alike: np.ndarray, thing_m: float = THING_M) -> Vote | None:
     """The pose that most things agree on; None where no two pairs agree.
 
     Parameters
     ----------
     alike : (A, 2) rows of landmarks that look alike, those first that do most.
+    thing_m : what is nearer together may be one thing of which there are copies.
 
     """
     alike = alike[:MOST_PAIRS]
-    pairs = _of_equal_height(ours, theirs, alike)
-    found, proposed = _best(ours, theirs, pairs)
+    pairs = _of_equal_height(ours, theirs, alike, thing_m)
+    found, proposed = _best(ours, theirs, pairs, thing_m)
     if found is None:
         return None
     pose, covariance, agree = found
-    things, runner_up, chance = count_things(ours.places[agree[:, 0]]), 2, float(proposed)
+    things, runner_up, chance = count_things(ours.places[agree[:, 0]], thing_m), 2, float(proposed)
     middle = theirs.places[agree[:, 1], :2].mean(axis=0)
     if things > runner_up:
         explained = distances(ours, theirs, pairs.rows, pose, covariance) <= IN_SPACE
-        other, _ = _best(ours, theirs, pairs.of(~explained))
+        other, _ = _best(ours, theirs, pairs.of(~explained), thing_m)
         if other is not None:
-            runner_up = max(runner_up, count_things(ours.places[other[2][:, 0]]))
+            runner_up = max(runner_up, count_things(ours.places[other[2][:, 0]], thing_m))
         p = _by_chance(ours, theirs, pose, covariance, agree)
         others = proposed - len(agree) * (len(agree) - 1) // 2
         chance = (1 + max(others, 0)) * _tail(things - runner_up, len(alike) - 2, p)
@@ -134,11 +135,11 @@ def distances(
     return np.einsum("ni,ni->n", apart, np.linalg.solve(spread, apart[:, :, None])[:, :, 0])
 
 
-def count_things(places: np.ndarray) -> int:
-    """How many of `places` (n, 3) are `THING_M` apart in the plane from those counted before."""
+def count_things(places: np.ndarray, thing_m: float) -> int:
+    """How many of `places` (n, 3) are `thing_m` apart in the plane from those counted before."""
     counted = np.empty((0, 2))
     for place in places[:, :2]:
-        if not len(counted) or np.hypot(*(counted - place).T).min() >= THING_M:
+        if not len(counted) or np.hypot(*(counted - place).T).min() >= thing_m:
             counted = np.vstack([counted, place])
     return len(counted)
 
@@ -150,14 +151,14 @@ def _tail(k: int, trials: int, p: float) -> float:
     return float(bdtrc(k - 1, trials, p)) if k <= trials else 0.0
 
 
-def _of_equal_height(ours: Points, theirs: Points, alike: np.ndarray) -> _Pairs:
+def _of_equal_height(ours: Points, theirs: Points, alike: np.ndarray, thing_m: float) -> _Pairs:
     """The pairs (A, 2) whose heights differ by no more than they are uncertain."""
     a, b = alike.T
     height = ours.places[a, 2] - theirs.places[b, 2]
     is_equal = height**2 <= IN_HEIGHT * (ours.covariances[a, 5] + theirs.covariances[b, 5])
     a, b = alike[is_equal].T
     places = _as_complex(ours.places[a])
-    is_near = np.abs(places[:, None] - places) < THING_M
+    is_near = np.abs(places[:, None] - places) < thing_m
     variances = _largest_variance(ours.covariances[a]) + _largest_variance(theirs.covariances[b])
     return _Pairs(
         alike[is_equal],
@@ -169,13 +170,13 @@ def _of_equal_height(ours: Points, theirs: Points, alike: np.ndarray) -> _Pairs:
 
 
 def _best(
-    ours: Points, theirs: Points, pairs: _Pairs
+    ours: Points, theirs: Points, pairs: _Pairs, thing_m: float
 ) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray] | None, int]:
     """Pose, covariance and rows (n, 2) of what agrees; and of how many poses it is the best.
 
     None where less than two pairs agree on any.
     """
-    one, other = _equally_far(pairs)
+    one, other = _equally_far(pairs, thing_m)
     if not len(one):
         return None, 0
     scores = np.empty(len(one))
@@ -185,17 +186,17 @@ def _best(
         scores[some] = _evidence(pairs, one[some], other[some])
     winner = int(np.argmax(scores))
     start, agree = _proposed(pairs, one[winner], other[winner])
-    return _fitted(ours, theirs, pairs.rows, start, pairs.rows[agree]), len(one)
+    return _fitted(ours, theirs, pairs.rows, start, pairs.rows[agree], thing_m), len(one)
 
 
-def _equally_far(pairs: _Pairs) -> tuple[np.ndarray, np.ndarray]:
+def _equally_far(pairs: _Pairs, thing_m: float) -> tuple[np.ndarray, np.ndarray]:
     """Each two of the pairs, (H,) and (H,), whose landmarks are as far apart in both pieces."""
     one, other = np.triu_indices(len(pairs.rows), 1)
     ours = np.abs(pairs.ours[one] - pairs.ours[other])
     theirs = np.abs(pairs.theirs[one] - pairs.theirs[other])
     variances = pairs.variances[one] + pairs.variances[other]
     are_equal = (ours - theirs) ** 2 <= IN_HEIGHT * variances
-    chosen = are_equal & (np.minimum(ours, theirs) >= THING_M)
+    chosen = are_equal & (np.minimum(ours, theirs) >= thing_m)
     return one[chosen], other[chosen]
 
 
@@ -235,18 +236,25 @@ def _proposed(pairs: _Pairs, one: int, other: int) -> tuple[np.ndarray, np.ndarr
 
 
 def _fitted(
-    ours: Points, theirs: Points, rows: np.ndarray, pose: np.ndarray, agree: np.ndarray
+    ours: Points,
+    theirs: Points,
+    rows: np.ndarray,
+    pose: np.ndarray,
+    agree: np.ndarray,
+    thing_m: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """Least squares from `pose` over what agrees, until that stays the same."""
     for _ in range(ROUNDS):
-        if count_things(ours.places[agree[:, 0]]) < 2:
+        if count_things(ours.places[agree[:, 0]], thing_m) < 2:
             return None
         pose, covariance = _least_squares(ours, theirs, agree, pose)
         squared = distances(ours, theirs, rows, pose, covariance)
         before, agree = agree, _one_to_one(rows, squared)
         if np.array_equal(before, agree):
             break
-    return (pose, covariance, agree) if count_things(ours.places[agree[:, 0]]) >= 2 else None
+    if count_things(ours.places[agree[:, 0]], thing_m) < 2:
+        return None
+    return pose, covariance, agree
 
 
 def _least_squares(

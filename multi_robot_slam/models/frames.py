@@ -1,5 +1,6 @@
 """What one robot did and saw at one instant, as the filter remembers it."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -88,6 +89,13 @@ class RobotFrame:
             extra,
             start,
         )
+
+    def called(self, indices: Sequence[int]) -> "RobotFrame":
+        """With the index that `indices` (K,) has for each robot of the team."""
+        seen = self.sightings
+        if seen is not NOBODY:
+            seen = seen._replace(others=np.array(indices, np.int64)[seen.others])
+        return replace(self, robot=indices[self.robot], sightings=seen)
 
     def with_noise(self, factor: float) -> "RobotFrame":
         """With `factor` times the standard deviations of the observations."""

@@ -45,6 +45,10 @@ class Ranging(NamedTuple):
         along = of_depth / np.sqrt(of_depth[:, 2:])
         return cls(positions @ turned.T, along @ turned.T)
 
+    def only(self, points: np.ndarray) -> "Ranging":
+        """Of some of the points, by index or as booleans."""
+        return Ranging(self.rays[points], self.along[points])
+
 
 @kernel
 def ratio(ray: np.ndarray, along: np.ndarray, offset: np.ndarray) -> float:

@@ -35,6 +35,10 @@ class Evidence:
         """The assumption does not hold."""
         return self.log >= LOG_ALARM
 
+    def end(self) -> None:
+        """Hold nothing against it any more."""
+        self.log = 0.0
+
     def add(self, log_e: float) -> None:
         """Take the logarithm of the e-value of one more frame."""
         self.log = min(max(self.log + min(log_e, LOG_MOST), 0.0), LOG_CAP)

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from math import degrees
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -12,10 +12,14 @@ from multi_robot_slam.filter.pieces import Pieces
 from multi_robot_slam.models.motion import increment, move, wrap
 from multi_robot_slam.monitor import learnt_noise
 from multi_robot_slam.monitor.alignment import Alignment
+from multi_robot_slam.monitor.continuity import Continuity
 from multi_robot_slam.monitor.evidence import LOG_ALARM
 from multi_robot_slam.monitor.in_view import InView
 from multi_robot_slam.monitor.innovations import Innovations
 from multi_robot_slam.monitor.recognition import Recognition
+
+WRONG: Final = ("start wrong", "lost")
+"""Levels of a robot that is not where it seems to be."""
 
 MET = 3
 """Frames that agree after which two robots' maps did once lie where they should."""
@@ -31,6 +35,9 @@ class Findings(NamedTuple):
     in_view: InView
     recognised: list[Recognition]
     """What it sees of each robot's landmarks, its own included."""
+    continuity: Continuity
+    before: Verdict | None = None
+    """The one on which it was taken out of the map, as long as it is not in it again."""
 
 
 def is_lost(team: Sequence[Findings], robot: int) -> bool:
@@ -43,8 +50,8 @@ def blamed(team: Sequence[Findings]) -> dict[int, tuple[int, bool]]:
     """The robots whose maps lie wrong against others': against which robot, and since the start.
 
     Two maps that contradict each other do not say which of them is wrong. It is that of the robot
-    that is lost, or else of the one that contradicts most, or else that agrees with fewest, or else
-    the later one in the team, for the first fixes where `map` is.
+    that is lost, or else of the one that contradicts most, or else whose way may be broken, or else
+    that agrees with fewest, or else the later one in the team, for the first fixes where `map` is.
     """
     robots = range(len(team))
     pairs = {
@@ -58,7 +65,12 @@ def blamed(team: Sequence[Findings]) -> dict[int, tuple[int, bool]]:
         involved = sorted({robot for pair in pairs for robot in pair})
         worst = max(
             involved,
-            key=lambda r: (sum(r in p for p in pairs), -_agreements(team, r), r),
+            key=lambda r: (
+                sum(r in p for p in pairs),
+                len(team[r].continuity.breaks) > 0,
+                -_agreements(team, r),
+                r,
+            ),
         )
         other = min(sum(pair) - worst for pair in pairs if worst in pair)
         result[worst] = other, not _have_met(team, worst, other)
@@ -100,15 +112,26 @@ def verdict(
     return replace(told, cause=cause, remedy=remedy)
 
 
-def with_place_unknown(told: Verdict, pieces: Pieces, robot: int) -> Verdict:
+def with_place_unknown(
+    told: Verdict, before: Verdict | None, pieces: Pieces, robot: int
+) -> Verdict:
     """The verdict on a robot whose place in `map` is not known, unless there is worse to say.
 
-    With the numbers of its piece and of the piece's last vote in any case.
+    With the numbers of its piece and of the piece's last vote in any case. `before`: the verdict on
+    which it was taken out of the map; None: it has not been in it.
     """
     told = replace(told, numbers=told.numbers | _of_piece(pieces, robot))
+    name = told.robot
+    if before is not None:
+        return replace(
+            told,
+            level=before.level,
+            cause=f"{before.cause}. It goes on in a map of its own until what it sees tells where "
+            "it is; nothing of it is published",
+            remedy=f"{before.remedy}; drive {name} where landmarks are known",
+        )
     if told.level != "consistent":
         return told
-    name = told.robot
     return replace(
         told,
         level="place unknown",
@@ -224,11 +247,7 @@ def _lost(own: Findings, offset: Alignment, whose: str, numbers: dict[str, float
         f"{_how_far(offset, own.innovations.pose)} from where they are, by {offset.inliers} of "
         f"{offset.pairs} landmarks: it was carried away, or its wheels slipped"
     )
-    remedy = (
-        f"do not use its pose; start the fusion anew with {own.name} where it is now, and see why "
-        "its odometry did not tell: nobody may lift a robot, and wheels must not slip"
-    )
-    return Verdict(own.name, "lost", cause, remedy, _with_offset(numbers, offset))
+    return Verdict(own.name, "lost", cause, _found_out(own), _with_offset(numbers, offset))
 
 
 def _out_of_sight(own: Findings, numbers: dict[str, float]) -> Verdict:
@@ -236,11 +255,13 @@ def _out_of_sight(own: Findings, numbers: dict[str, float]) -> Verdict:
         f"{own.name} sees other landmarks at once, and none of those that it must have in view: "
         "carried away, or its wheels slipped"
     )
-    remedy = (
-        "do not use its pose; bring it to where landmarks are known, or start the fusion anew, "
-        "and see why its odometry did not tell"
-    )
-    return Verdict(own.name, "lost", cause, remedy, numbers)
+    return Verdict(own.name, "lost", cause, _found_out(own), numbers)
+
+
+def _found_out(own: Findings) -> str:
+    """The remedy for a robot that is lost, which by itself the fusion looks for."""
+    name = own.name
+    return f"see why the odometry of {name} did not tell: do not lift a robot, or let wheels slip"
 
 
 def _noisier(own: Findings, numbers: dict[str, float]) -> Verdict:

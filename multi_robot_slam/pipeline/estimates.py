@@ -60,6 +60,7 @@ def _map_of(
         [record for record, _ in lineage], [record.matches[:, row] for record, row in lineage]
     )
     observations, robots = seen.of_ids(ids)
+    robots = state.pieces.bits_of_team(robots)
     return LandmarkMap(
         ids=ids.astype(np.uint32),
         positions=values[:, :3].astype(np.float32),
@@ -118,14 +119,14 @@ def _by_robot(
 
     Of the robots whose place in `map` is known.
     """
-    result = {}
-    for index in np.flatnonzero(state.pieces.robots_in_map).tolist():
-        name = config.robots[index]
-        stamps, poses = state.history.settled.path(index)
-        own = [(record.stamp_ns, pose) for record, pose in reversed(path) if record.robot == index]
-        if len(stamps) or own:
-            later = np.array([stamp for stamp, _ in own], np.int64)
-            recent = np.array([pose for _, pose in own]).reshape(-1, 3)
-            all_poses = wrapped(np.concatenate([poses, recent]))
-            result[name] = Trajectory(np.concatenate([stamps, later]), all_poses)
+    pieces, result = state.pieces, {}
+    for robot, name in enumerate(config.robots):
+        stamps, poses = [np.empty(0, np.int64)], [np.empty((0, 3))]
+        for index in np.flatnonzero((pieces.team == robot) & pieces.robots_in_map).tolist():
+            before = state.history.settled.path(index)
+            own = [(r.stamp_ns, pose) for r, pose in reversed(path) if r.robot == index]
+            stamps += [before[0], np.array([stamp for stamp, _ in own], np.int64)]
+            poses += [before[1], np.array([pose for _, pose in own]).reshape(-1, 3)]
+        if sum(map(len, stamps)):
+            result[name] = Trajectory(np.concatenate(stamps), wrapped(np.concatenate(poses)))
     return result

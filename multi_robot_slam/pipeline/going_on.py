@@ -16,6 +16,7 @@ from multi_robot_slam.filter import (
     history,
     kept,
     landmarks,
+    losing,
     new_map,
     pieces,
     running,
@@ -31,6 +32,7 @@ from multi_robot_slam.maps.graph import Known, Parts, Taken, put_together
 from multi_robot_slam.models import frames, motion, ranging
 from multi_robot_slam.monitor import (
     alignment,
+    continuity,
     evidence,
     in_view,
     innovations,
@@ -64,8 +66,18 @@ MODULES: tuple[ModuleType, ...] = (
     *(types, config, filter_settings, camera_settings, frames, motion, ranging),
     *(prior, solve, envelope, noise_factors, odometry_scale),
     *(state, history, landmarks, settled, covisible, existence, views, new_map, kept),
-    *(pieces, vote, snapshot, running),
-    *(monitor, evidence, alignment, in_view, innovations, learnt_noise, recognition, verdicts),
+    *(pieces, vote, losing, snapshot, running),
+    *(
+        monitor,
+        continuity,
+        evidence,
+        alignment,
+        in_view,
+        innovations,
+        learnt_noise,
+        recognition,
+        verdicts,
+    ),
     *(pipeline, reorder, pairing, odometry, gaps, intervals, losses, keyframes, levels, time_guard),
 )
 """Whose classes a pipeline consists of."""

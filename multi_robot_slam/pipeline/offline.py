@@ -234,4 +234,4 @@ def load(folder: Path, namespace: str | None = None) -> runs.Run:
     one = replace(run.config.filter, particles=1, mapping=True)
     pipeline = Pipeline(replace(run.config, filter=one))
     run_through(pipeline, events(run.bag, run.config, pipeline.refuse, run.namespace))
-    return refinement.measured(run, pipeline.lineage())
+    return refinement.measured(run, pipeline.lineage(), pipeline.team)

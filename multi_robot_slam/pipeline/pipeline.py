@@ -24,15 +24,18 @@ from msg_defs.types import (
     PoseSample,
     StepRecord,
     Trajectory,
+    Verdict,
 )
 from multi_robot_slam.config import Config
 from multi_robot_slam.filter import rbpf, running
 from multi_robot_slam.filter.kept import KeptMap
+from multi_robot_slam.filter.rbpf import StepInfo
 from multi_robot_slam.filter.rejuvenation import FAILURES
 from multi_robot_slam.filter.running import ParticleFilter
 from multi_robot_slam.models import motion
 from multi_robot_slam.models.frames import Record, RobotFrame
 from multi_robot_slam.monitor.monitor import Monitor
+from multi_robot_slam.monitor.predictions import Predictions
 from multi_robot_slam.pipeline import estimates, plausibility, ties
 from multi_robot_slam.pipeline.levels import Levels
 from multi_robot_slam.pipeline.plausibility import Refusal
@@ -102,6 +105,8 @@ class Pipeline:
             0 if kept is None else int(kept.next_id),
         )
         self._levels = Levels(warn)
+        self._indices = list(range(len(config.robots)))
+        """What the filter calls each robot now (`filter.pieces`)."""
         self._guard = TimeGuard(config.apart_ns, self._drop_far_ahead)
         self._reorder = Reorder(config, self._drop, self._opened, self.lose)
         self._estimates: dict[str, Estimate] = {}
@@ -151,8 +156,8 @@ class Pipeline:
         before = self._estimates.get(event.robot)
         if before is None or not isinstance(event, PoseSample) or not self.config.keyframe.is_on:
             return None
-        robot = self.config.robots.index(event.robot)
-        odometry = self._reorder.robots[robot].odometry
+        index = self.config.robots.index(event.robot)
+        odometry, robot = self._reorder.robots[index].odometry, self._indices[index]
         if event is not odometry.newest or event.stamp_ns <= before.stamp_ns:
             return None
         moved, seconds, extra = odometry.motion_to_newest()
@@ -216,6 +221,11 @@ class Pipeline:
             return lambda: loaded
         return self._particles.closing()
 
+    @property
+    def team(self) -> list[int]:
+        """Which robot of the team each one in `lineage` is: one that was lost goes on as others."""
+        return self._particles.state.pieces.team.tolist()
+
     def lineage(self) -> list[tuple[Record, int]]:
         """The best particle's past, oldest first: its row in the record of each frame.
 
@@ -240,7 +250,8 @@ class Pipeline:
 
     def particles(self, robot: str) -> np.ndarray:
         """(M, 3): the pose x, y [m], yaw [rad] of `robot` in every particle."""
-        return estimates.wrapped(self._particles.state.poses[self.config.robots.index(robot)].T)
+        index = self._indices[self.config.robots.index(robot)]
+        return estimates.wrapped(self._particles.state.poses[index].T)
 
     def odometry_pose(self, robot: str) -> np.ndarray:
         """(3,): the odometry of `robot` at its last filtered frame, in its `odom` frame."""
@@ -264,24 +275,40 @@ class Pipeline:
         steps = []
         for frames in instants:
             start = time.perf_counter()
+            own = [frame.called(self._indices) for frame in frames]
             try:
-                expected = self._monitor.expect(self._particles.state, frames)
-                info = self._particles.step(frames)
+                expected = self._monitor.expect(self._particles.state, own)
+                info = self._particles.step(own)
             except FAILURES as error:
                 self._tell_of_failure(frames, error)
                 continue
             self._reorder.use(frames)
-            for reason in info.rejuvenated.failures if info.rejuvenated else ():
-                self._tell_of_no_smoothing(frames[0].stamp_ns, reason)
-            verdicts = self._monitor.judge(self._particles.state, frames, info, expected)
-            self._levels.tell(frames[0].stamp_ns, verdicts)
+            verdicts = self._judged(own, info, expected)
             took_ms = (time.perf_counter() - start) * 1e3
             state = self._particles.state
-            steps.append(step_record(self.config, state, frames, info, verdicts, took_ms))
+            steps.append(step_record(self.config, state, own, info, verdicts, took_ms))
             if (tied := steps[-1].tied) is not None:
                 self.warn(f"at {_time(frames[0].stamp_ns)}: {ties.line(tied)}")
+            for frame in frames:
+                self._estimates.pop(self.config.robots[frame.robot], None)
             self._estimates |= {estimate.robot: estimate for estimate in steps[-1].estimates}
         return steps
+
+    def _judged(
+        self, frames: list[RobotFrame], info: StepInfo, expected: list[Predictions]
+    ) -> tuple[Verdict, ...]:
+        """The verdicts on the robots of a step, after which lost ones leave the map."""
+        stamp_ns = frames[0].stamp_ns
+        for reason in info.rejuvenated.failures if info.rejuvenated else ():
+            self._tell_of_no_smoothing(stamp_ns, reason)
+        verdicts = self._monitor.judge(self._particles.state, frames, info, expected)
+        for lost in info.lost:
+            self._monitor.go_on(lost)
+            self._indices[self._particles.state.pieces.team[lost.robot]] = lost.another
+        for robot, misled in self._monitor.misled.items():
+            self._particles.lose(robot, misled)
+        self._levels.tell(stamp_ns, verdicts)
+        return verdicts
 
     def _opened(self, frame: Frame) -> ObservationSet | None:
         """What a frame holds; None, counted and told, where it means nothing or cannot be true."""

@@ -10,6 +10,7 @@ from multi_robot_slam.filter import rbpf
 from multi_robot_slam.filter.matching import FrameInfo
 from multi_robot_slam.filter.state import State
 from multi_robot_slam.models.frames import RobotFrame
+from multi_robot_slam.monitor.verdicts import WRONG
 from multi_robot_slam.pipeline import ties
 from multi_robot_slam.pipeline.estimates import wrapped
 
@@ -24,37 +25,39 @@ def step_record(
 ) -> StepRecord:
     """The record of a step over `frames` that led to `state`.
 
-    Estimates are of the robots whose place in `map` was known before.
+    Estimates are of the robots whose place in `map` was known before, and is in no doubt.
     """
     best = rbpf.best_particle(state)
     before = best if info.ancestors is None else info.ancestors[best]
     was_in_map = state.pieces.robots_in_map
     if info.tied is not None:  # the moments are from before
         was_in_map[list(info.tied.robots)] = False
+    misled = {verdict.robot for verdict in verdicts if verdict.level in WRONG}
+    names = [config.robots[state.pieces.team[frame.robot]] for frame in frames]
     return StepRecord(
         stamp_ns=frames[0].stamp_ns,
         step=state.steps,
         frames=tuple(
-            _frame_record(config.robots[frame.robot], seen, before, config.filter.sighting_gate)
-            for frame, seen in zip(frames, info.frames, strict=True)
+            _frame_record(name, seen, before, config.filter.sighting_gate)
+            for name, seen in zip(names, info.frames, strict=True)
         ),
         estimates=tuple(
             Estimate(
-                robot=config.robots[frame.robot],
+                robot=name,
                 stamp_ns=frame.stamp_ns,
                 pose=wrapped(mean if config.publishes_mean else state.poses[frame.robot, :, best]),
                 covariance=covariance,
                 mean=wrapped(mean),
             )
-            for frame, (mean, covariance) in zip(frames, info.moments, strict=True)
-            if was_in_map[frame.robot]
+            for frame, name, (mean, covariance) in zip(frames, names, info.moments, strict=True)
+            if was_in_map[frame.robot] and name not in misled
         ),
         effective_particles=info.effective_particles,
         resampled=info.ancestors is not None,
         rejuvenated=_rejuvenated(info),
         duration_ms=duration_ms,
         verdicts=verdicts,
-        tied=None if info.tied is None else ties.told(config, info.tied),
+        tied=None if info.tied is None else ties.told(config, info.tied, state.pieces.team),
     )
 
 

@@ -26,6 +26,9 @@ from multi_robot_slam.smoothing.solve import Smoothed, SmoothingError
 Lineage = Sequence[tuple[Record, int]]
 """The past of one particle, oldest first: its row in each record (`Pipeline.lineage`)."""
 
+Team = Sequence[int] | None
+"""Which robot of the team each one is; None: nobody was lost."""
+
 MAX_FRAMES = 20_000
 """Smoothing this many took 10 s and 1.2 GB in simulated tours; both grow with the square."""
 
@@ -56,9 +59,8 @@ class Learnt(NamedTuple):
     noise: NoiseFactors
 
     @classmethod
-    def nothing(cls, config: Config) -> "Learnt":
+    def nothing(cls, config: Config, robots: int) -> "Learnt":
         """As configured."""
-        robots = len(config.robots)
         scales = Scales.unknown(robots, config.filter.motion.scale_sigma)
         return cls(scales, NoiseFactors.as_told(robots))
 
@@ -80,20 +82,20 @@ def complete(
     run = run.with_paths(mean=pipeline.mean_trajectories())
     lineage = pipeline.lineage() if with_refined or with_yardstick else []
     if with_yardstick:
-        run = measured(run, lineage)
+        run = measured(run, lineage, pipeline.team)
     if not with_refined:
         return run
     if len(lineage) > MAX_FRAMES:
         return _warned(run, f"not refined: {len(lineage)} frames, and {MAX_FRAMES} are the most")
     try:
-        refined = refine(lineage, run.landmarks, run.config)
+        refined = refine(lineage, run.landmarks, run.config, pipeline.team)
     except SmoothingError as error:
         return _warned(run, f"not refined: {error}")
     run = run.with_paths(refined=refined.paths)
     return replace(run, refined_landmarks=refined.landmarks)
 
 
-def measured(run: Run, lineage: Lineage) -> Run:
+def measured(run: Run, lineage: Lineage, team: Team = None) -> Run:
     """The run with the yardstick, if all associations are known and the frames not too many.
 
     If it cannot be computed, a warning says why.
@@ -101,7 +103,7 @@ def measured(run: Run, lineage: Lineage) -> Run:
     if len(lineage) > MAX_FRAMES:
         return run
     try:
-        paths = yardstick(lineage, run.observation_truth, run.config)
+        paths = yardstick(lineage, run.observation_truth, run.config, team)
     except SmoothingError as error:
         return _warned(run, f"no yardstick: {error}")
     return run if paths is None else run.with_paths(yardstick=paths)
@@ -112,7 +114,7 @@ def _warned(run: Run, warning: str) -> Run:
 
 
 @one_thread
-def refine(lineage: Lineage, landmarks: LandmarkMap, config: Config) -> Refined:
+def refine(lineage: Lineage, landmarks: LandmarkMap, config: Config, team: Team = None) -> Refined:
     """Smooth over the best particle's associations, robustly, and join landmarks it had split.
 
     Smooth, with the factors of the odometry if those are in doubt; join (`joining`); repeat until
@@ -121,6 +123,7 @@ def refine(lineage: Lineage, landmarks: LandmarkMap, config: Config) -> Refined:
     Parameters
     ----------
     lineage : the best particle's past; `landmarks` : its map (`Pipeline.landmark_map`).
+    team : which robot each one in it is (`Pipeline.team`).
 
     """
     if not lineage:
@@ -128,7 +131,8 @@ def refine(lineage: Lineage, landmarks: LandmarkMap, config: Config) -> Refined:
     records = [record for record, _ in lineage]
     poses = np.array([record.poses[:, row] for record, row in lineage])
     seen = [record.matches[:, row] for record, row in lineage]
-    settings, learnt = config.filter, Learnt.nothing(config)
+    settings, team = config.filter, _all(config) if team is None else team
+    learnt = Learnt.nothing(config, len(team))
     alike = landmarks.ids[joining.alike(landmarks.descriptors, settings.descriptor_gate)]
     alike = alike.astype(np.int64)
 
@@ -136,7 +140,7 @@ def refine(lineage: Lineage, landmarks: LandmarkMap, config: Config) -> Refined:
         nonlocal learnt
         identities = [aliases.of(ids) for ids in seen]
         problem, smoothed, learnt = _smooth(
-            records, identities, poses, learnt, settings.robust_above, config
+            records, identities, poses, learnt, settings.robust_above, config, team
         )
         return problem, smoothed
 
@@ -148,13 +152,16 @@ def refine(lineage: Lineage, landmarks: LandmarkMap, config: Config) -> Refined:
         settings.exclusive,
         settings.correlated,
     )
-    paths = _trajectories(records, smoothed.of_records, config)
-    return Refined(paths, _map(problem, smoothed, landmarks))
+    paths = _trajectories(records, smoothed.of_records, config, team)
+    return Refined(paths, _map(problem, smoothed, landmarks, team))
 
 
 @one_thread
 def yardstick(
-    lineage: Lineage, truth: Mapping[tuple[str, int], np.ndarray], config: Config
+    lineage: Lineage,
+    truth: Mapping[tuple[str, int], np.ndarray],
+    config: Config,
+    team: Team = None,
 ) -> dict[str, Trajectory] | None:
     """The best answer there is: paths by least squares with the true associations.
 
@@ -165,22 +172,29 @@ def yardstick(
     ----------
     lineage : any particle's past; the search starts from its path.
     truth : (robot, stamp_ns) -> (B,) true landmark of each observation; where that of one frame
-        is missing there is no yardstick.
+        is missing there is no yardstick, nor where a robot was lost and what it saw was forgotten.
+    team : as of `refine`.
 
     `SmoothingError` if there is no optimum.
 
     """
     records = [record for record, _ in lineage]
-    keys = [(config.robots[record.robot], record.stamp_ns) for record in records]
+    team = _all(config) if team is None else team
+    keys = [(config.robots[team[record.robot]], record.stamp_ns) for record in records]
     identities = [np.asarray(truth.get(key, ())) for key in keys]
     known = [len(rows) == len(r.positions) for rows, r in zip(identities, records, strict=True)]
     if not records or not all(known):
         return None
     poses = np.array([record.poses[:, row] for record, row in lineage])
     certain = joining.widened_gate(config.filter.robust_above, sum(map(len, identities)))
-    nothing = Learnt.nothing(config)
-    _, smoothed, _ = _smooth(records, identities, poses, nothing, certain, config)
-    return _trajectories(records, smoothed.of_records, config)
+    nothing = Learnt.nothing(config, len(team))
+    _, smoothed, _ = _smooth(records, identities, poses, nothing, certain, config, team)
+    return _trajectories(records, smoothed.of_records, config, team)
+
+
+def _all(config: Config) -> Sequence[int]:
+    """The team, nobody of which was ever lost."""
+    return range(len(config.robots))
 
 
 def _smooth(
@@ -190,9 +204,10 @@ def _smooth(
     known: Learnt,
     robust_above: float,
     config: Config,
+    team: Sequence[int],
 ) -> tuple[Problem, Smoothed, Learnt]:
     """The optimum of the paths and of what is learnt with them, from `poses` (P, 3) and `known`."""
-    motion, prior = config.filter.motion, _prior(records, config)
+    motion, prior = config.filter.motion, _prior(records, config.starts[list(team)])
     motions = np.array([record.motion for record in records])
     covariances, is_final = None, config.filter.noise_at == "measurement"
     for _ in range(MOST_ROUNDS):
@@ -217,9 +232,9 @@ def _smooth(
     return problem, smoothed, known
 
 
-def _prior(records: Sequence[Record], config: Config) -> Prior:
-    """What was believed of each robot's start."""
-    prior = Prior.exact(config.starts)
+def _prior(records: Sequence[Record], starts: np.ndarray) -> Prior:
+    """What was believed of each robot's start; where nothing was told it is at `starts` (K, 3)."""
+    prior = Prior.exact(starts)
     for record in records:
         if record.start is not None:
             prior = prior.starting(record.robot, record.start)
@@ -239,9 +254,9 @@ def _learnt(
 
 
 def _trajectories(
-    records: Sequence[Record], poses: np.ndarray, config: Config
+    records: Sequence[Record], poses: np.ndarray, config: Config, team: Sequence[int]
 ) -> dict[str, Trajectory]:
-    robots = np.array([record.robot for record in records])
+    robots = np.array([team[record.robot] for record in records])
     stamps = np.array([record.stamp_ns for record in records], np.int64)
     wrapped = np.column_stack([poses[:, :2], wrap(poses[:, 2])])
     return {
@@ -250,10 +265,12 @@ def _trajectories(
     }
 
 
-def _map(problem: Problem, smoothed: Smoothed, landmarks: LandmarkMap) -> LandmarkMap:
+def _map(
+    problem: Problem, smoothed: Smoothed, landmarks: LandmarkMap, team: Sequence[int]
+) -> LandmarkMap:
     """Of those that the filter's map still has: of others the descriptor is forgotten."""
     robots = np.zeros(len(problem.ids), np.uint32)
-    np.bitwise_or.at(robots, problem.landmarks, _bits(problem))
+    np.bitwise_or.at(robots, problem.landmarks, _bits(problem, team))
     order = np.argsort(landmarks.ids)
     has = np.flatnonzero(np.isin(problem.ids, landmarks.ids))
     known = order[np.searchsorted(landmarks.ids[order], problem.ids[has])]
@@ -277,6 +294,6 @@ def _marginal_covariances(problem: Problem, smoothed: Smoothed) -> np.ndarray:
     return covariances
 
 
-def _bits(problem: Problem) -> np.ndarray:
+def _bits(problem: Problem, team: Sequence[int]) -> np.ndarray:
     """(O,) the bit of the robot that made each observation."""
-    return np.uint32(1) << problem.robots[problem.seen_from].astype(np.uint32)
+    return np.uint32(1) << np.array(team, np.uint32)[problem.robots[problem.seen_from]]

@@ -1,14 +1,16 @@
 """What is told of two pieces of the map that have become one."""
 
+import numpy as np
+
 from msg_defs.types import Tied
 from multi_robot_slam.config import Config
 from multi_robot_slam.filter.tying import Tie
 
 
-def told(config: Config, tie: Tie) -> Tied:
-    """Who was tied in, and the numbers."""
+def told(config: Config, tie: Tie, team: np.ndarray) -> Tied:
+    """Who was tied in, and the numbers; `team` (K,): which robot each is (`filter.pieces`)."""
     return Tied(
-        robots=tuple(config.robots[robot] for robot in tie.robots),
+        robots=tuple(config.robots[robot] for robot in np.unique(team[list(tie.robots)])),
         is_in_map=tie.is_in_map,
         pose=tie.vote.pose,
         landmarks=len(tie.vote.pairs),
@@ -22,7 +24,7 @@ def line(tied: Tied) -> str:
     """All of it in words."""
     names = " and ".join(tied.robots)
     x, y, yaw = tied.pose.tolist()
-    where = f"the origin of its first keyframe lies at [{x:.2f}, {y:.2f}, {yaw:.3f}]"
+    where = f"its own frame lies at [{x:.2f}, {y:.2f}, {yaw:.3f}]"
     if tied.is_in_map:
         who = f"the place of {names} in map is known from now on; {where}"
     else:

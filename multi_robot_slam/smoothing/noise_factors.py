@@ -31,6 +31,7 @@ from scipy.special import chdtr, chdtri
 
 from multi_robot_slam.models.parallel import one_thread
 from multi_robot_slam.models.symmetric import unpack
+from multi_robot_slam.smoothing.blocks import with_block_again
 from multi_robot_slam.smoothing.cost import odometry_residuals
 from multi_robot_slam.smoothing.kernels import landmarks as kernels
 from multi_robot_slam.smoothing.kernels.changes import information_in_map, observation_changes
@@ -93,6 +94,17 @@ class NoiseFactors(NamedTuple):
         pairs, count = np.ones((robots, 2)), 2 * robots
         nothing = np.zeros((count, count))
         return cls(pairs, np.zeros((robots, 2)), pairs, nothing, np.zeros(count))
+
+    def with_another(self, robot: int) -> "NoiseFactors":
+        """With another robot after the others, of which as much is known as of `robot`."""
+        own = 2 * robot + np.arange(2)
+        return NoiseFactors(
+            np.vstack([self.factors, self.factors[robot]]),
+            np.vstack([self.redundancies, self.redundancies[robot]]),
+            np.vstack([self.used, self.used[robot]]),
+            with_block_again(self.equations, own),
+            np.append(self.sums, self.sums[own]),
+        )
 
 
 class Shares(NamedTuple):

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from multi_robot_slam.smoothing.blocks import with_block_again
 from multi_robot_slam.smoothing.cost import odometry_residuals
 from multi_robot_slam.smoothing.kernels.links import odometry_jacobians
 from multi_robot_slam.smoothing.problem import Problem
@@ -42,6 +43,17 @@ class Scales(NamedTuple):
         information = np.eye(2 * robots) / sigma**2 if sigma > 0 else np.zeros((0, 0))
         sigmas = np.full((robots, 2), sigma)
         return cls(np.ones((robots, 2)), np.ones(2 * robots), information, sigmas)
+
+    def with_another(self, robot: int) -> "Scales":
+        """With another robot after the others, of which as much is known as of `robot`."""
+        own = 2 * robot + np.arange(2)
+        is_used = len(self.information) > 0
+        return Scales(
+            np.vstack([self.factors, self.factors[robot]]),
+            np.append(self.mean, self.mean[own]),
+            with_block_again(self.information, own) if is_used else self.information,
+            np.vstack([self.sigmas, self.sigmas[robot]]),
+        )
 
 
 def learn(

@@ -75,6 +75,14 @@ class Prior(NamedTuple):
         covariance[np.ix_(own, own)] = start.covariance + SMALLEST_SIGMA**2 * np.eye(3)
         return self._replace(poses=poses, covariance=covariance)
 
+    def with_another(self, start: Start) -> "Prior":
+        """With another robot after the others, which starts there."""
+        count = self.poses.size
+        rows = np.insert(np.arange(len(self.covariance)), count, [-1, -1, -1])
+        covariance = self.covariance[np.ix_(rows, rows)]
+        result = self._replace(poses=np.vstack([self.poses, start.mean]), covariance=covariance)
+        return result.starting(len(self.poses), start)
+
     def rows(self, robots: np.ndarray, centres: np.ndarray) -> np.ndarray:
         """(3 A + 2 a,) rows in the covariance of robots' (A,) anchors, then of centres (a,)."""
         of_robots = 3 * robots[:, None] + np.arange(3)

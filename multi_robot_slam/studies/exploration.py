@@ -125,7 +125,9 @@ def batch_paths(exploration: Exploration, base: Base) -> dict[str, Trajectory]:
     digit whichever filters it is compared with.
     """
     run, pipeline = estimate(exploration, replace(base.filters["informed"], particles=1))
-    paths = refinement.yardstick(pipeline.lineage(), run.observation_truth, run.config)
+    paths = refinement.yardstick(
+        pipeline.lineage(), run.observation_truth, run.config, pipeline.team
+    )
     if paths is None:
         raise ValueError("an exploration without frames has no solution")
     return paths

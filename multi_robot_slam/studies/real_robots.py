@@ -146,7 +146,7 @@ def compute(job: Job) -> list[Row]:
     recorded = runs.recorded(job.bag, job.config.robots)
     run = offline.assemble(pipeline, recorded, steps, predictions)
     lineage = pipeline.lineage()
-    refined = refinement.refine(lineage, run.landmarks, job.config)
+    refined = refinement.refine(lineage, run.landmarks, job.config, pipeline.team)
     run = run.with_paths(mean=pipeline.mean_trajectories(), refined=refined.paths)
     run = replace(run, refined_landmarks=refined.landmarks)
     optimum: dict[str, np.ndarray] = {}

@@ -138,9 +138,9 @@ def test_robots_in_another_place_stay_unknown(elsewhere, mapping):
 
 
 def test_the_map_is_a_piece_though_no_robot_is_in_it():
-    assert Pieces(np.array([2, 2])).numbers == [MAP, 2]
-    assert Pieces(np.array([1, 0])).numbers == [MAP, 1]
-    assert not Pieces(np.array([0, 0])).are_many
+    assert Pieces(np.array([2, 2]), np.arange(2)).numbers == [MAP, 2]
+    assert Pieces(np.array([1, 0]), np.arange(2)).numbers == [MAP, 1]
+    assert not Pieces(np.array([0, 0]), np.arange(2)).are_many
 
 
 def test_with_all_starts_known_nobody_votes(yesterday, monkeypatch):

@@ -270,7 +270,7 @@ def test_tied_pieces_are_one_from_the_beginning(unknowns, late, monkeypatch):
     state = particles.state
     pairs = pairs_of(state, vote)
     tying.turn(state, 2, vote, np.random.default_rng(5))
-    state.pieces = Pieces(np.zeros(2, int), (), pairs)
+    state.pieces = Pieces(np.zeros(2, int), np.arange(2), pairs=pairs)
     state.landmarks.pieces[:] = 0
     state, done = renewed(state, own)
     assert done.groups
@@ -301,7 +301,7 @@ def test_the_pairs_that_voted_are_one_to_begin_with(monkeypatch):
     pairs = pairs_of(state, vote)
     assert len(pairs) > 10
     tying.turn(state, 2, vote, np.random.default_rng(5))
-    state.pieces = Pieces(np.zeros(2, int), (), pairs)
+    state.pieces = Pieces(np.zeros(2, int), np.arange(2), pairs=pairs)
     state.landmarks.pieces[:] = 0
     made, _ = renewed(state, replace(own, descriptor_gate=1e-9))
     columns, _ = made.landmarks.of_particle(int(np.argmax(made.log_weight_sum)))
@@ -317,7 +317,7 @@ def test_three_votes_in_a_row_must_say_the_same():
     doubted = vote._replace(chance=1e-3)
 
     def agreed(*votes):
-        pieces = Pieces(np.arange(3))
+        pieces = Pieces(np.arange(3), np.arange(3))
         for found in votes:
             pieces, is_enough = tying._noted(pieces, 0, 1, found)
             pieces, other = tying._noted(pieces, 0, 2, None)

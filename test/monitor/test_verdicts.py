@@ -9,6 +9,7 @@ from msg_defs.types import CameraMount
 from multi_robot_slam.filter.pieces import Pieces
 from multi_robot_slam.filter.vote import Vote
 from multi_robot_slam.monitor.alignment import Alignment
+from multi_robot_slam.monitor.continuity import Break, Continuity
 from multi_robot_slam.monitor.evidence import LOG_CAP
 from multi_robot_slam.monitor.in_view import InView
 from multi_robot_slam.monitor.innovations import Innovations
@@ -35,6 +36,7 @@ def team(count=3, contradict=(), agree=()):
             Innovations(11.345),
             InView(CameraMount(), 0.04),
             [Recognition(11.345) for _ in range(count)],
+            Continuity(),
         )
         for i in range(count)
     ]
@@ -84,25 +86,48 @@ def test_a_start_that_nobody_told_cannot_be_wrong():
 
 def test_a_place_that_is_not_known_is_told_where_nothing_is_worse():
     pieces = Pieces.of_starts(np.array([True, False]))
-    told = with_place_unknown(level(team(2), 1), pieces, 1)
+    told = with_place_unknown(level(team(2), 1), None, pieces, 1)
     assert told.level == "place unknown"
     assert told.numbers == level(team(2), 1).numbers | {"piece": 2.0}
     assert "place of robot_2 in map is not known yet" in told.cause
     lost = level(team(2, [(1, 1)]), 1)
-    told = with_place_unknown(lost, pieces, 1)
+    told = with_place_unknown(lost, None, pieces, 1)
     assert replace(told, numbers=lost.numbers) == lost
+
+
+def test_who_was_lost_is_lost_until_its_place_is_known():
+    pieces = Pieces.of_starts(np.array([True, False]))
+    lost = level(team(2, [(1, 1)]), 1)
+    told = with_place_unknown(level(team(2), 1), lost, pieces, 1)
+    assert told.level == "lost"
+    assert told.cause.startswith(lost.cause)
+    assert "in a map of its own" in told.cause
+    assert told.remedy == f"{lost.remedy}; drive robot_2 where landmarks are known"
+
+
+def test_of_two_the_one_whose_way_is_broken_is_lost():
+    robots = team(2, [(0, 1)], [(0, 1)])
+    assert set(blamed(robots)) == {1}
+    robots[0].continuity.breaks.append(Break(10, 5))
+    assert set(blamed(robots)) == {0}
 
 
 def test_the_last_vote_on_a_place_is_told_believed_or_not():
     pieces = Pieces.of_starts(np.array([True, False, False]))
     pieces = pieces.with_vote(0, 2, vote(3)).with_vote(2, 3, vote(4)).with_vote(0, 2, vote(5))
-    told = with_place_unknown(level(team(3), 1), pieces, 1).numbers
+    told = with_place_unknown(level(team(3), 1), None, pieces, 1).numbers
     assert told["vote: places that agree"] == 5
     assert told["vote: places by another pose"] == 2
     assert told["vote: poses as good by chance"] == 0.5
-    assert "vote: places that agree" not in with_place_unknown(level(team(3), 2), pieces, 2).numbers
+    assert (
+        "vote: places that agree"
+        not in with_place_unknown(level(team(3), 2), None, pieces, 2).numbers
+    )
     silent = pieces.with_vote(0, 2, None)
-    assert "vote: places that agree" not in with_place_unknown(level(team(3), 1), silent, 1).numbers
+    assert (
+        "vote: places that agree"
+        not in with_place_unknown(level(team(3), 1), None, silent, 1).numbers
+    )
 
 
 def vote(places):
