@@ -10,6 +10,7 @@ from scipy.stats import chi2
 
 from msg_defs.types import StereoCamera
 from multi_robot_slam import runs
+from multi_robot_slam.filter.settings import NO_REJUVENATION
 from multi_robot_slam.models.symmetric import unpack
 from multi_robot_slam.pipeline import offline, refinement
 from multi_robot_slam.pipeline.pipeline import Pipeline
@@ -89,7 +90,7 @@ def deaf(config, gate=1e6):
 
 def test_yardstick_does_not_depend_on_the_particle(explored):
     expected = refinement.yardstick(explored.pipeline.lineage(), explored.truth, explored.config)
-    other = Exploration(particles=1, proposal="motion")
+    other = Exploration(particles=1, proposal="motion", rejuvenation=NO_REJUVENATION)
     found = refinement.yardstick(other.pipeline.lineage(), explored.truth, explored.config)
     assert_same_paths(found, expected, atol=1e-4)
 
@@ -141,8 +142,10 @@ def test_paths_and_noise_that_is_learnt_agree(explored):
     records = [record for record, _ in lineage]
     poses = np.array([record.poses[:, row] for record, row in lineage])
     seen = [record.matches[:, row] for record, row in lineage]
-    nothing = refinement.Learnt.nothing(config)
-    problem, smoothed, known = refinement._smooth(records, seen, poses, nothing, 11.345, config)
+    nothing = refinement.Learnt.nothing(config, len(config.robots))
+    problem, smoothed, known = refinement._smooth(
+        records, seen, poses, nothing, 11.345, config, range(len(config.robots))
+    )
     motions = np.array([record.motion for record in records])
     again = refinement._learnt(known, problem, smoothed, motions, config)
     np.testing.assert_allclose(again.noise.used, known.noise.used, rtol=0.01)
