@@ -8,6 +8,7 @@ import numpy as np
 from msg_defs.topics import MAP_FRAME
 from msg_defs.types import ObservationSet, Trajectory
 from multi_robot_slam import runs
+from multi_robot_slam.monitor.verdicts import WRONG
 from multi_robot_slam.runs.associations import Origins, associations, origins
 from multi_robot_slam.runs.consistency import nees, published_means
 from multi_robot_slam.runs.map_errors import attributed, place_errors
@@ -86,14 +87,18 @@ def row(name: str, outcome: Outcome, exact: Outcome) -> Row:
     if told.loaded is not None:
         map_m, exact_map_m = map_errors(run, told.loaded)
     later, exact_later = since(own, later_ns), since(reference, later_ns)
+    noticed = said(run, told.begins_ns)
+    noticed_ns = min((stamp for stamp, _, _ in noticed), default=None)
+    found_ns = (known_ns if noticed_ns is None else noticed_ns) + int(LATER_S * 1e9)
+    found, exact_found = since(own, found_ns), since(reference, found_ns)
     judged = {
         "published": own,
         "later": later,
         "later, aligned": aligned(later),
         "tied": own,
+        "found": found,
+        "found, aligned": aligned(found),
     }[WORLDS[name].judged]
-    noticed = said(run, told.begins_ns)
-    noticed_ns = min((stamp for stamp, _, _ in noticed), default=None)
     if is_tied:
         noticed_ns = all_placed(own, told)
     own_optimum, exact_optimum = (
@@ -131,6 +136,11 @@ def row(name: str, outcome: Outcome, exact: Outcome) -> Row:
         known_s=(known_ns - START_NS) / 1e9,
         noticed_s=None if noticed_ns is None else max(0.0, (noticed_ns - known_ns) / 1e9),
         noticed_frames=None if noticed_ns is None else telling_frames(told, known_ns, noticed_ns),
+        away_s=away_s(run),
+        found_m=error(found),
+        exact_found_m=error(exact_found),
+        found_aligned_m=error(aligned(found)),
+        exact_found_aligned_m=error(aligned(exact_found)),
         false_alarm=int(is_false_alarm(run, told, name)),
         said="; ".join(
             f"{robot} {level} {(stamp - START_NS) / 1e9:.1f}" for stamp, robot, level in noticed
@@ -249,6 +259,21 @@ def said(run: runs.Run, since_ns: int) -> list[tuple[int, str, str]]:
             if verdict.level != CONSISTENT and step.stamp_ns >= since_ns:
                 first.setdefault((verdict.robot, verdict.level), step.stamp_ns)
     return sorted((stamp, robot, level) for (robot, level), stamp in first.items())
+
+
+def away_s(run: runs.Run) -> float | None:
+    """Longest time from when a robot was lost to its next published pose, or the run's end [s]."""
+    since_ns: dict[str, int] = {}
+    longest: list[float] = []
+    for step in run.steps:
+        for verdict in step.verdicts:
+            if verdict.level in WRONG:
+                since_ns.setdefault(verdict.robot, step.stamp_ns)
+        for estimate in step.estimates:
+            if estimate.robot in since_ns:
+                longest.append((step.stamp_ns - since_ns.pop(estimate.robot)) / 1e9)
+    longest += [(run.steps[-1].stamp_ns - stamp) / 1e9 for stamp in since_ns.values()]
+    return max(longest, default=None)
 
 
 def is_false_alarm(run: runs.Run, told: Told, name: str) -> bool:

@@ -28,7 +28,7 @@ NEAR, FAR = (0.05, 2.0), (0.3, 10.0)
 FAR_SIGMA = (0.3, 0.175)
 """The same as it is told [m, rad]."""
 
-Judged = Literal["published", "later", "later, aligned", "tied"]
+Judged = Literal["published", "later", "later, aligned", "tied", "found", "found, aligned"]
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,8 @@ class World:
     judged: Judged = "published"
     """All poses as published; from 10 s after the difference can be noticed on, since before that a
     start is what it was told to be; these after the team was aligned as one, where nothing that is
-    seen tells where `map` is; or each robot's since its place is known."""
+    seen tells where `map` is; each robot's since its place is known; or from 10 s after it was said
+    that a robot is lost, those of it that are published, likewise."""
     has_optimum: bool = False
     """Also compared with the filtering optimum."""
     is_next_day: bool = False
@@ -57,8 +58,8 @@ WORLDS: dict[str, World] = {
     "start-far-told": World(changes.start_off(1, *FAR, FAR_SIGMA), judged="later"),
     "first-near": World(changes.start_off(0, *NEAR), judged="later, aligned"),
     "first-far-told": World(changes.start_off(0, *FAR, FAR_SIGMA), judged="later, aligned"),
-    "start-far": World(changes.start_off(1, *FAR), judged="later"),
-    "swapped": World(changes.starts_swapped, judged="later, aligned"),
+    "start-far": World(changes.start_off(1, *FAR), judged="found"),
+    "swapped": World(changes.starts_swapped, judged="found, aligned"),
     "unknown-one": World(changes.one_start_unknown, judged="tied"),
     "unknown-one-copies": World(
         changes.in_turn(changes.walls_thrice, changes.one_start_unknown), judged="tied"
@@ -103,8 +104,8 @@ WORLDS: dict[str, World] = {
     "robot-late": World(changes.robot_late(20.0), judged="later"),
     "fusion-killed": World(changes.fusion_killed, judged="later"),
     "robot-restarted": World(changes.robot_restarted, judged="later"),
-    "slip": World(changes.slipped),
-    "carried": World(changes.carried),
+    "slip": World(changes.slipped, judged="found"),
+    "carried": World(changes.carried, judged="found"),
     EXACT_TWICE: World(rounds=2),
     "landmarks-moved": World(changes.landmarks_moved, rounds=2),
     "fusion-late": World(changes.fusion_late(60.0), rounds=2, judged="later, aligned"),

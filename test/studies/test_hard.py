@@ -491,6 +491,7 @@ def test_where_the_simulation_differs_it_does_in_one_setting(worlds, name, field
 def fake_row(world=EXACT, robots=2, seed=0, **values):
     numbers = dict.fromkeys(hard_table.COLUMNS[3:], 1.0)
     whole = {"duplicates": 0, "exact_duplicates": 0, "old_places": 0, "noticed_frames": 1}
+    whole |= {"away_s": None}
     rest = {"false_alarm": 0, "said": None, "lost": 0, "refused": 0, "noticed_s": None}
     return Row(world, robots, seed, **numbers | whole | rest | values)
 
@@ -512,19 +513,32 @@ def test_what_is_judged_depends_on_the_world():
     assert replace(row, world="robot-late").ratio == 3.0
     assert replace(row, world="fusion-late").ratio == 1.5
     assert replace(row, world="unknown-one").ratio == 9.0
+    assert replace(row, world="slip", found_m=1.2).ratio == 1.2
+    assert replace(row, world="swapped", found_aligned_m=1.1).ratio == 1.1
+
+
+def test_who_is_found_again_has_still_been_wrong_until_that_was_said():
+    row = fake_row("carried", later_m=9.0, found_m=1.0, nees=10.0)
+    assert not row.is_wrong  # nobody was lost: it is as in any world
+    lost = replace(row, away_s=3.0, noticed_s=20.0)
+    assert lost.ratio == 1.0
+    assert lost.is_wrong
+    assert lost.is_silently_wrong
+    assert not replace(lost, noticed_s=9.0).is_silently_wrong
+    assert not replace(lost, later_m=1.0).is_wrong
 
 
 def test_a_wrong_run_is_silent_unless_it_is_said_within_10_s():
-    wrong = fake_row("slip", published_m=9.0, nees=10.0)
+    wrong = fake_row("slip", found_m=9.0, nees=10.0)
     assert wrong.is_silently_wrong
     assert replace(wrong, noticed_s=10.1).is_silently_wrong
     assert not replace(wrong, noticed_s=10.0).is_silently_wrong
-    assert not replace(wrong, published_m=1.0).is_silently_wrong
+    assert not replace(wrong, found_m=1.0).is_silently_wrong
     assert not replace(wrong, nees=9.0).is_silently_wrong
     table = hard_table.markdown([wrong, fake_row("slip", seed=1), fake_row("slip", robots=3)])
     assert "wrong and silent: 1 of 3; slip, K = 2, seed 0." in table
-    assert hard_table.unmet([wrong]) == ["wrong and silent"]
-    assert hard_table.unmet([replace(wrong, noticed_s=3.0)]) == []
+    assert hard_table.unmet([wrong]) == ["error", "wrong and silent"]
+    assert hard_table.unmet([replace(wrong, noticed_s=3.0)]) == ["error"]
 
 
 @pytest.mark.parametrize(
@@ -536,8 +550,11 @@ def test_a_wrong_run_is_silent_unless_it_is_said_within_10_s():
         ("slip", {"others_m": 1.2}, ["others"]),
         ("slip", {"noticed_frames": 6}, ["frames"]),
         ("slip", {"noticed_frames": None}, ["frames"]),
-        ("swapped", {"later_aligned_m": 1.31}, ["error"]),
-        ("swapped", {"later_aligned_m": 1.31, "noticed_s": 1.0}, []),
+        ("slip", {"away_s": 10.1}, ["found late"]),
+        ("slip", {"map_m": 1.2}, ["map"]),
+        ("swapped", {"found_aligned_m": 1.31, "noticed_s": 1.0}, ["error"]),
+        ("swapped", {"noticed_s": 1.0, "away_s": 9.0}, []),
+        ("swapped", {}, ["not noticed"]),
         ("odometry-3", {"factor_off": 0.21}, ["factor"]),
         ("odometry-3", {"factor_off": 0.0}, []),
         ("odometry-biased", {"published_m": 1.5}, ["error"]),
@@ -708,6 +725,26 @@ def test_a_team_that_is_turned_as_one_has_no_error_after_aligning_and_its_nees_i
     assert straight["a"].covariances == pytest.approx(spread)
     heading = hard_figures.aligned(noisy)["b"].errors[:, 2]
     assert heading == pytest.approx(0.1)
+
+
+def test_how_long_nothing_was_published_of_a_robot_that_was_lost():
+    def made(*steps):
+        return SimpleNamespace(
+            steps=[
+                SimpleNamespace(
+                    stamp_ns=second * 10**9,
+                    verdicts=[SimpleNamespace(robot="a", level=level)],
+                    estimates=[SimpleNamespace(robot="a")] * is_published,
+                )
+                for second, level, is_published in steps
+            ]
+        )
+
+    usual = (1, "consistent", True)
+    assert hard_figures.away_s(made(usual)) is None
+    found = made(usual, (2, "lost", False), (3, "lost", False), (6, "consistent", True))
+    assert hard_figures.away_s(found) == 4.0
+    assert hard_figures.away_s(made(usual, (2, "start wrong", False), (9, "lost", False))) == 7.0
 
 
 def test_errors_are_of_the_robots_and_the_time_asked_for():
