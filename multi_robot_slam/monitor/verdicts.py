@@ -18,6 +18,9 @@ from multi_robot_slam.monitor.in_view import InView
 from multi_robot_slam.monitor.innovations import Innovations
 from multi_robot_slam.monitor.recognition import Recognition
 
+PLACE_UNKNOWN: Final = "place unknown"
+"""Level of a robot whose place in `map` is not known yet."""
+
 WRONG: Final = ("start wrong", "lost")
 """Levels of a robot that is not where it seems to be."""
 
@@ -134,7 +137,7 @@ def with_place_unknown(
         return told
     return replace(
         told,
-        level="place unknown",
+        level=PLACE_UNKNOWN,
         cause=f"the place of {name} in map is not known yet: it has not seen enough of what is in "
         "the map",
         remedy=f"drive {name} where the map has landmarks, or give its start pose",

@@ -87,6 +87,17 @@ def test_nothing_is_published_of_a_robot_that_is_lost(ran):
     assert min(between) < lost[0] < lost[-1] < max(between)
 
 
+def test_since_when_its_place_is_known(slipped, ran):
+    lost = [stamp for stamp, level in ran.levels(NAME) if level == "lost"]
+    figures = runs.evaluate(ran.run)["robots"]
+    begins_ns = ran.steps[0].stamp_ns
+    assert figures["robot_1"]["place_known_from_s"] == 0.0
+    assert abs(figures[NAME]["place_known_from_s"] - (lost[-1] - begins_ns) / 1e9) < 1.0
+    until = [step for step in ran.steps if step.stamp_ns <= lost[0]]
+    place = runs.evaluate(replace(ran.run, steps=until))["robots"][NAME]["place_known_from_s"]
+    assert place is None
+
+
 def test_before_and_after_all_is_right(slipped, ran):
     lost = [stamp for stamp, level in ran.levels(NAME) if level == "lost"]
     for name in ("robot_1", NAME):
