@@ -23,10 +23,10 @@ from multi_robot_slam.watch.address import Serving, free, require_viser
 from sim_world.scenario import SECTION as WORLD_SECTION
 from sim_world.scenario import Scenario
 
-END_S = 2.5
-"""How long the processes may take to end, all together."""
-LISTENER_S = 0.7
-"""How much of it is the listener's, which ends last."""
+END_S = 1.8
+"""How long the processes may take to end, all together, but for the listener."""
+LISTENER_S = 10.0
+"""How long the listener may, after them: usually a tenth of a second, but a bag must be whole."""
 PAGE_S = 0.4
 """How long the page may take to end, after them."""
 OFTEN_S, RARELY_S = 1.0, 5.0
@@ -182,9 +182,8 @@ def _module(process: Popen[bytes]) -> str:
 
 def _end(processes: list[Popen[bytes]]) -> None:
     """End all by their process ids: SIGINT, for the listener (the first) when the others ended."""
-    deadline_s = time.monotonic() + END_S
-    _end_by(processes[1:], deadline_s - LISTENER_S)
-    _end_by(processes[:1], deadline_s)
+    _end_by(processes[1:], time.monotonic() + END_S)
+    _end_by(processes[:1], time.monotonic() + LISTENER_S)
 
 
 def _end_by(processes: list[Popen[bytes]], deadline_s: float) -> None:
