@@ -126,7 +126,7 @@ def test_pieces_share_nothing(unknowns):
         check_apart(state, piece)
 
 
-def check_apart(state, piece):
+def check_apart(state, piece, robot=2):
     landmarks = state.landmarks
     alive = landmarks.alive()
     piece_of = dict(np.column_stack([landmarks.ids[alive], landmarks.pieces[alive]]).tolist())
@@ -135,7 +135,7 @@ def check_apart(state, piece):
         assert named <= {state.pieces.of_robots[record.robot]}
     prior = state.prior
     centres = np.flatnonzero([piece_of.get(n) == piece for n in prior.ids.tolist()])
-    rows = prior.rows(np.array([2]), centres)
+    rows = prior.rows(np.array([robot]), centres)
     others = np.setdiff1d(np.arange(len(prior.covariance)), rows)
     assert not prior.covariance[np.ix_(rows, others)].any()
     assert np.linalg.eigvalsh(prior.covariance)[0] > 0
@@ -264,13 +264,8 @@ def test_who_never_was_where_it_was_told_is_a_piece_with_all_it_did(unknowns):
     if first.start is not None:
         assert not first.start.covariance.any()
         assert np.abs(state.prior.covariance[3:6, 3:6]).max() < 1e-9
-    landmarks = state.landmarks
-    alive = landmarks.alive()
-    of_ids = dict(np.column_stack([landmarks.ids[alive], landmarks.pieces[alive]]).tolist())
-    for record in state.history.records:
-        wanted = piece if record.robot == 1 else 0
-        assert {of_ids[n] for n in np.unique(record.matches).tolist() if n in of_ids} <= {wanted}
-    renewed(state, own)
+    check_apart(state, piece, 1)
+    check_apart(renewed(state, own), piece, 1)
 
 
 @pytest.mark.usefixtures("apart")
