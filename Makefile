@@ -5,7 +5,7 @@ VENV := .venv
 PYTHON ?= python3.12 python3.11 python3
 
 .DEFAULT_GOAL := help
-.PHONY: help demo figures test check test-all clean
+.PHONY: help demo figures docs test check test-all clean
 .DELETE_ON_ERROR:
 
 help: ## this list
@@ -17,6 +17,9 @@ demo: $(VENV)/installed ## robots, fusion and recorder as processes, then the re
 
 figures: $(VENV)/installed ## the paper's experiments into runs/figures, 20 repeats; goes on if interrupted
 	$(VENV)/bin/multi_robot_slam study experiment all --repeats 20 --out runs/figures
+
+docs: $(VENV)/installed ## the documentation as a site, build/docs/index.html; a warning is an error
+	$(VENV)/bin/python -m sphinx -q -W --keep-going -d build/doctrees docs build/docs
 
 test: $(VENV)/installed ## the tests
 	$(VENV)/bin/python -m pytest -n auto --maxprocesses 8 --dist loadfile

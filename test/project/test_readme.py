@@ -1,4 +1,4 @@
-"""What the README shows works as shown."""
+"""What the README and the tutorial show works as shown."""
 
 import re
 import shlex
@@ -20,6 +20,7 @@ from multi_robot_slam.config import SECTION, Config
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text()
+TUTORIAL = (ROOT / "docs" / "tutorial.md").read_text()
 QUICK = {
     ("multi_robot_slam", verb) for verb in ("run", "evaluate", "compare", "report", "export", "map")
 }
@@ -30,13 +31,13 @@ LONG |= {("sim_world", "generate --images")}
 GROUPS = ("study", "convert")
 
 
-def blocks(language):
-    return re.findall(rf"^```{language}\n(.*?)^```", README, re.MULTILINE | re.DOTALL)
+def blocks(language, page=README):
+    return re.findall(rf"^```{language}\n(.*?)^```", page, re.MULTILINE | re.DOTALL)
 
 
 def commands():
-    """Every command line shown, as words."""
-    lines = "".join(blocks("sh")).splitlines()
+    """Every command line shown, as words: the README's, then the tutorial's."""
+    lines = "".join([*blocks("sh"), *blocks("sh", TUTORIAL)]).splitlines()
     return [words for line in lines if (words := shlex.split(line, comments=True))]
 
 
@@ -52,6 +53,7 @@ def folder(tmp_path, monkeypatch):
     config = scenario_file.from_yaml(Config, blocks("yaml")[0], SECTION)
     few = ((stamp, *rest) for robot in config.robots for stamp, *rest in pictures.drive(robot, 4))
     pictures.record(tmp_path / "rosbag2_yours", config, sorted(few, key=lambda m: m[0]), False)
+    shutil.copytree(tmp_path / "rosbag2_yours", tmp_path / "rosbag2_next_day")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -126,8 +128,9 @@ def test_every_command_works_as_shown(folder, ros_domain_id):
                 in_place_of_nothing(folder / "drive")
 
 
-def test_the_scenario_shown_is_one():
-    (text,) = blocks("yaml")
+@pytest.mark.parametrize("page", [README, TUTORIAL], ids=["README", "tutorial"])
+def test_the_scenario_shown_is_one(page):
+    (text,) = blocks("yaml", page)
     config = scenario_file.from_yaml(Config, text, SECTION)
     assert config.robots == ("alice", "bob")
 
