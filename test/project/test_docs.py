@@ -16,7 +16,7 @@ from multi_robot_slam.cli import main
 from multi_robot_slam.config import Config
 
 ROOT = Path(__file__).parents[2]
-for module in ("sphinx", "furo", "myst_parser", "latex2mathml"):
+for module in ("sphinx", "furo", "myst_parser", "latex2mathml", "ziamath"):
     pytest.importorskip(module, reason="no Sphinx: pip install 'multi_robot_slam[docs]'")
 pytest.importorskip("rclpy", reason="no ROS: the nodes' parameters are read from the nodes")
 
