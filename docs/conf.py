@@ -1,7 +1,8 @@
 """The site that `make docs` makes of these pages: nothing is fetched, when it is built or read."""
 
 import sys
-from importlib import metadata, resources
+from importlib import metadata
+from importlib.util import find_spec
 from pathlib import Path
 
 from sphinx.application import Sphinx
@@ -29,11 +30,10 @@ maximum_signature_line_length = 80
 html_theme = "furo"
 html_title = project
 html_math_renderer = "mathml"
-# With a font that has tall brackets and large sums, which few machines bring along.
-html_static_path = [
-    "extension/static",
-    str(resources.files("ziamath.fonts") / "STIXTwoMath-Regular.ttf"),
-]
+# With a font that has tall brackets and large sums, which few machines bring along. Found, not
+# imported: ziamath changes what latex2mathml does.
+FONT = Path(find_spec("ziamath").origin).parent / "fonts" / "STIXTwoMath-Regular.ttf"
+html_static_path = ["extension/static", str(FONT)]
 html_css_files = ["site.css"]
 html_copy_source = False
 

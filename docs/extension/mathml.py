@@ -11,8 +11,8 @@ from sphinx.util import logging
 from sphinx.writers.html5 import HTML5Translator
 
 TAG = re.compile(r"\s*\\tag\{([^}]*)\}")
-OTHER_NAMES = {r"\arg": r"\operatorname{arg}"}
-"""What the converter does not know, and what it does."""
+OTHER_NAMES = {r"\arg": r"\operatorname{arg}", r"\sim": r"\thicksim"}
+"""What the converter does not know, or takes for a variable, and what it knows."""
 
 log = logging.getLogger(__name__)
 
