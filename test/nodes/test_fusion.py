@@ -278,13 +278,13 @@ def test_two_fusions_say_so_until_one_is_gone(parameters, capfd):
     with nodes.ros(*lasting):
         listener = nodes.Listener(topics.DIAGNOSTICS)
         first, second = fusion.Fusion(), fusion.Fusion()
-        both = first._health, second._health
+        both = first.fusing.health, second.fusing.health
         nodes.spin_until(lambda: all(one.rival for one in both), first, second, listener)
         nodes.spin_until(lambda: levels(listener)[0] == {"another fusion"}, first, second, listener)
         assert capfd.readouterr().err.count("another fusion publishes /fusion/steps") == 2
         second.close()
         second.destroy_node()
-        nodes.spin_until(lambda: not first._health.rival, first, listener)
+        nodes.spin_until(lambda: not first.fusing.health.rival, first, listener)
         levels(listener)
         nodes.spin_until(lambda: levels(listener) == (set(), 1), first, listener)
         first.close()

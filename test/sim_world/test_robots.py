@@ -32,17 +32,24 @@ def topics_of(*names):
     return [topic(name) for name in names for topic in OF_EACH]
 
 
-def play(*arguments, listen_to):
-    """Everything that is published on the topics `listen_to`, by topic."""
+def play(*arguments, listen_to, count=0):
+    """Everything that is published on the topics `listen_to`, by topic; at least `count` of each.
+
+    What the last message is nobody knows when the world is done: it may still be on its way.
+    """
     with nodes.ros(*PARAMETERS, *arguments):
         listener = nodes.Listener(*listen_to)
         world = robots.SimWorld()
-        nodes.spin_until(lambda: world.done, world, listener)
+
+        def has_all():
+            return world.done and all(len(listener.heard[t]) >= count for t in listen_to)
+
+        nodes.spin_until(has_all, world, listener)
         return listener.heard
 
 
 def test_publishes_exactly_what_the_simulation_makes():
-    heard = play("-p", "seed:=4", listen_to=topics_of(*SCENARIO.names))
+    heard = play("-p", "seed:=4", listen_to=topics_of(*SCENARIO.names), count=21)
     steps = list(Simulation(SCENARIO, seed=4).steps())
     assert len(steps) == 21
     for index, name in enumerate(SCENARIO.names):
@@ -63,8 +70,8 @@ def test_publishes_exactly_what_the_simulation_makes():
 
 
 def test_a_robot_alone_says_what_it_says_in_the_team():
-    alone = play("-p", "only:=robot_2", listen_to=topics_of("robot_2"))
-    team = play(listen_to=topics_of(*SCENARIO.names))
+    alone = play("-p", "only:=robot_2", listen_to=topics_of("robot_2"), count=21)
+    team = play(listen_to=topics_of(*SCENARIO.names), count=21)
     assert len(alone[topics.odometry("robot_2")]) == 21
     assert alone == {topic: team[topic] for topic in alone}
 
