@@ -15,7 +15,7 @@ Stamps are integer nanoseconds.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal, NamedTuple, TypeVar, dataclass_transform
+from typing import Annotated, Any, Final, Literal, NamedTuple, TypeVar, dataclass_transform
 
 import numpy as np
 from annotated_types import Gt
@@ -268,6 +268,12 @@ class Estimate:
 
 Level = Literal["consistent", "place unknown", "noisier than told", "start wrong", "lost"]
 """How what a robot sends agrees with what the filter assumes, the best first."""
+
+PLACE_UNKNOWN: Final = "place unknown"
+"""Level of a robot whose place in `map` is not known yet."""
+
+WRONG: Final = ("start wrong", "lost")
+"""Levels of a robot that is not where it seems to be."""
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from msg_defs.types import CameraMount, Verdict
+from msg_defs.types import WRONG, CameraMount, Verdict
 from multi_robot_slam.filter.losing import Lost, Misled
 from multi_robot_slam.filter.rbpf import StepInfo
 from multi_robot_slam.filter.settings import FilterSettings
@@ -23,7 +23,7 @@ from multi_robot_slam.monitor.in_view import InView
 from multi_robot_slam.monitor.innovations import Innovations
 from multi_robot_slam.monitor.predictions import Predictions, predict
 from multi_robot_slam.monitor.recognition import Recognition
-from multi_robot_slam.monitor.verdicts import WRONG, Findings, blamed, verdict, with_place_unknown
+from multi_robot_slam.monitor.verdicts import Findings, blamed, verdict, with_place_unknown
 from multi_robot_slam.smoothing.noise_factors import NoiseFactors
 
 BEYOND_DOUBT: Final = LOG_ALARM / 4

@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from math import degrees
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from msg_defs.types import Verdict
+from msg_defs.types import PLACE_UNKNOWN, Verdict
 from multi_robot_slam.filter.pieces import Pieces
 from multi_robot_slam.models.motion import increment, move, wrap
 from multi_robot_slam.monitor import learnt_noise
@@ -17,12 +17,6 @@ from multi_robot_slam.monitor.evidence import LOG_ALARM
 from multi_robot_slam.monitor.in_view import InView
 from multi_robot_slam.monitor.innovations import Innovations
 from multi_robot_slam.monitor.recognition import Recognition
-
-PLACE_UNKNOWN: Final = "place unknown"
-"""Level of a robot whose place in `map` is not known yet."""
-
-WRONG: Final = ("start wrong", "lost")
-"""Levels of a robot that is not where it seems to be."""
 
 MET = 3
 """Frames that agree after which two robots' maps did once lie where they should."""

@@ -4,13 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from msg_defs.types import Estimate, FrameRecord, StepRecord, Verdict
+from msg_defs.types import WRONG, Estimate, FrameRecord, StepRecord, Verdict
 from multi_robot_slam.config import Config
 from multi_robot_slam.filter import rbpf
 from multi_robot_slam.filter.matching import FrameInfo
 from multi_robot_slam.filter.state import State
 from multi_robot_slam.models.frames import RobotFrame
-from multi_robot_slam.monitor.verdicts import WRONG
 from multi_robot_slam.pipeline import ties
 from multi_robot_slam.pipeline.estimates import wrapped
 

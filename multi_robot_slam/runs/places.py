@@ -3,9 +3,8 @@
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-from msg_defs.types import StepRecord, Tied
+from msg_defs.types import PLACE_UNKNOWN, WRONG, StepRecord, Tied
 from multi_robot_slam.config import UNKNOWN, Config
-from multi_robot_slam.monitor.verdicts import PLACE_UNKNOWN, WRONG
 
 
 class Placed(NamedTuple):

@@ -6,9 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from msg_defs.topics import MAP_FRAME
-from msg_defs.types import ObservationSet, Trajectory
+from msg_defs.types import WRONG, ObservationSet, Trajectory
 from multi_robot_slam import runs
-from multi_robot_slam.monitor.verdicts import WRONG
 from multi_robot_slam.runs.associations import Origins, associations, origins
 from multi_robot_slam.runs.consistency import nees, published_means
 from multi_robot_slam.runs.map_errors import attributed, place_errors

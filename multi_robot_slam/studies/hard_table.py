@@ -92,6 +92,14 @@ class Row:
         return self.noticed_s is not None and self.noticed_s <= SOON_S
 
     @property
+    def was_far_off(self) -> bool:
+        """A robot that was lost has been far off, whatever was said and made good later."""
+        ratio = _ratio(self.later_m, self.exact_later_m)
+        if WORLDS[self.world].judged == "found, aligned":
+            ratio = _ratio(self.later_aligned_m, self.exact_later_aligned_m)
+        return self.away_s is not None and (ratio or 0.0) > WRONG_RATIO
+
+    @property
     def is_wrong(self) -> bool:
         """So wrong that it has to be said; so is a run without poses to judge.
 
@@ -100,14 +108,13 @@ class Row:
         if self.ratio is None:
             return True
         best = _ratio(self.optimum_m, self.exact_optimum_m) or 1.0
-        whole = (self.later_m, self.exact_later_m) if self.away_s is not None else (None, None)
-        is_far_off = max(self.ratio, _ratio(*whole) or 0.0) > WRONG_RATIO * max(best, 1.0)
+        is_far_off = self.ratio > WRONG_RATIO * max(best, 1.0) or self.was_far_off
         return is_far_off or (self.nees or 0.0) > WRONG_NEES * bounds(1)[1]
 
     @property
     def is_silently_wrong(self) -> bool:
         """Wrong, and nobody says so soon: nothing is told, and the covariances do not cover it."""
-        is_covered = self.nees is not None and self.nees <= bounds(1)[1]
+        is_covered = self.nees is not None and self.nees <= bounds(1)[1] and not self.was_far_off
         return self.is_wrong and not (self.is_noticed or is_covered)
 
 

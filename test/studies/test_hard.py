@@ -518,7 +518,7 @@ def test_what_is_judged_depends_on_the_world():
 
 
 def test_who_is_found_again_has_still_been_wrong_until_that_was_said():
-    row = fake_row("carried", later_m=9.0, found_m=1.0, nees=10.0)
+    row = fake_row("carried", later_m=9.0, found_m=1.0, nees=3.0)
     assert not row.is_wrong  # nobody was lost: it is as in any world
     lost = replace(row, away_s=3.0, noticed_s=20.0)
     assert lost.ratio == 1.0
