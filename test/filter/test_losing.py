@@ -272,14 +272,14 @@ def test_who_never_was_where_it_was_told_is_a_piece_with_all_it_did(unknowns):
 def test_who_saw_the_robot_saw_the_one_that_it_is_now():
     own = settings(60)
     sees = BodySightings(np.array([1]), np.ones((1, 2)), np.array([[0.01, 0, 0.01]]))
-    steps = [[replace(one, sightings=sees), other] for one, other in drive()]
+    back = sees._replace(others=np.array([0]))
+    steps = [[replace(a, sightings=sees), replace(b, sightings=back)] for a, b in drive()]
     state = run(steps, own)
     lost(state, own, AT, AT + 2)
     for record in state.history.records:
-        if record.robot == 0:
-            step = record.stamp_ns // TICK
-            expected = [] if AT <= step < AT + 2 else [1 if step < AT else 2]
-            assert record.sightings.others.tolist() == expected
+        step = record.stamp_ns // TICK
+        seen = [1 if step < AT else 2] if record.robot == 0 else [0]
+        assert record.sightings.others.tolist() == ([] if AT <= step < AT + 2 else seen)
     renewed(state, own)
 
 
