@@ -293,7 +293,8 @@ def test_from_pixels_to_a_map_and_a_page_with_pictures(start, tmp_path):
         assert len(messages[f"/{robot}/odom"]) == 51
         clouds = messages[f"/{robot}/stereo/landmarks"]
         stamps = [wire.peek_stamp(data, "cloud") for data in clouds]
-        assert stamps[0] == wire.peek_stamp(messages[f"/{robot}/odom"][0], "odometry")
+        odometry = {wire.peek_stamp(data, "odometry") for data in messages[f"/{robot}/odom"]}
+        assert set(stamps) <= odometry  # a busy camera leaves out pairs, also the first
         previews = messages[f"/{robot}/preview/image/compressed"]
         assert [wire.peek_stamp(data, "preview") for data in previews] == stamps
     assert not any("image_rect" in topic for topic in messages)
