@@ -135,12 +135,15 @@ class Watched:
     def extent(self) -> tuple[np.ndarray, float]:
         """Middle (3,) and width [m] of what there is to see."""
         starts = [pose for pose in self.config.start_poses if pose != UNKNOWN]
-        flat = [np.array(starts)[:, :2]]
+        flat = [np.reshape(starts, (-1, 3))[:, :2]]
         flat += [np.array([r.estimate.pose[:2]]) for r in self.robots.values() if r.estimate]
         flat += [r.path.poses[:, :2] for r in self.robots.values() if r.path is not None]
         if self.walls is not None:
             flat.append(self.walls.segments.reshape(-1, 2))
         if self.landmarks is not None:
             flat.append(self.landmarks.positions[:, :2])
-        low, high = np.quantile(np.concatenate(flat), [0.01, 0.99], axis=0)
+        places = np.concatenate(flat)
+        if not len(places):
+            return np.zeros(3), SMALLEST_M
+        low, high = np.quantile(places, [0.01, 0.99], axis=0)
         return np.array([*(low + high) / 2, 0.0]), float(max((high - low).max(), SMALLEST_M))

@@ -82,6 +82,15 @@ def test_the_extent_holds_all_there_is():
     assert middle[2] == 0
 
 
+def test_the_extent_where_nobody_told_where_a_robot_starts():
+    anywhere = replace(RUN.config, start_poses=("unknown",) * len(RUN.config.robots))
+    found = Watched(anywhere)
+    middle, width = found.extent()
+    assert (middle.tolist(), width) == ([0, 0, 0], 6.0)
+    found.take_walls(RUN.walls)
+    assert found.extent()[1] == pytest.approx(10.0, rel=0.05)
+
+
 def test_figures_before_anything_was_heard():
     found = Watched(RUN.config)
     assert dict(figures.team(found))["steps"] == "0"
