@@ -4,29 +4,23 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import short_teams
+from short_teams import Ran
 
 from multi_robot_slam import runs
-from multi_robot_slam.pipeline import going_on, offline, refinement
+from multi_robot_slam.pipeline import going_on, refinement
 from multi_robot_slam.pipeline.pipeline import Pipeline
 from multi_robot_slam.runs.trajectory_errors import at
-from multi_robot_slam.studies import accuracy, hard_worlds
 from multi_robot_slam.studies.hard_changes import _driven
 
-AT_S, END_S = 14.0, 26.0
+AT_S = 14.0
 NAME = "robot_2"
-WRONG = ("lost", "start wrong")
 
 
 @pytest.fixture(scope="module")
 def exact():
     """What a team of two sends in its first seconds."""
-    base = accuracy.calibrated()
-    own = replace(base.filters["rejuvenated"], particles=150)
-    base = replace(base, filters=base.filters | {"rejuvenated": own})
-    told = hard_worlds.simulated(base, "exact", 2, 0)
-    first_ns = min(event.stamp_ns for event in told.events)
-    events = tuple(e for e in told.events if e.stamp_ns - first_ns <= END_S * 1e9)
-    return replace(told, events=events)
+    return short_teams.told(particles=150, end_s=26)
 
 
 @pytest.fixture(scope="module")
@@ -40,19 +34,6 @@ def slipped(exact):
         return moved
 
     return _driven(exact, (NAME,), untold)
-
-
-class Ran:
-    def __init__(self, told, pipeline=None):
-        self.lines = []
-        self.pipeline = pipeline or Pipeline(told.config, self.lines.append)
-        predictions = runs.Predictions()
-        self.steps = offline.run_through(self.pipeline, told.events, on_prediction=predictions.add)
-        self.run = offline.assemble(self.pipeline, told.recorded, self.steps, predictions)
-        self.pipeline.close()
-
-    def levels(self, robot):
-        return [(s.stamp_ns, v.level) for s in self.steps for v in s.verdicts if v.robot == robot]
 
 
 @pytest.fixture(scope="module")

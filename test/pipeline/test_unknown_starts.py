@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import short_teams
+from short_teams import Ran
 
 from msg_defs import scenario_file
 from msg_defs.errors import InputError
@@ -11,35 +13,17 @@ from msg_defs.types import PoseSample
 from multi_robot_slam import runs
 from multi_robot_slam.config import SECTION, Config
 from multi_robot_slam.filter.vote import FALSE_RATE
-from multi_robot_slam.pipeline import offline, refinement
+from multi_robot_slam.pipeline import refinement
 from multi_robot_slam.pipeline.pipeline import Pipeline
 from multi_robot_slam.runs.trajectory_errors import at
-from multi_robot_slam.studies import accuracy, hard_worlds
-
-END_S = 25
 
 
 @pytest.fixture(scope="module")
 def told():
     """What a team of two sends in its first seconds, the second from an unknown start."""
-    base = accuracy.calibrated()
-    own = replace(base.filters["rejuvenated"], particles=100)
-    base = replace(base, filters=base.filters | {"rejuvenated": own})
-    told = hard_worlds.simulated(base, "exact", 2, 0)
-    first_ns = min(event.stamp_ns for event in told.events)
-    events = tuple(e for e in told.events if e.stamp_ns - first_ns <= END_S * 1e9)
-    config = replace(told.config, start_poses=(told.config.start_poses[0], "unknown"))
-    return replace(told, events=events, config=config)
-
-
-class Ran:
-    def __init__(self, told):
-        self.lines = []
-        self.pipeline = Pipeline(told.config, self.lines.append)
-        predictions = runs.Predictions()
-        self.steps = offline.run_through(self.pipeline, told.events, on_prediction=predictions.add)
-        self.run = offline.assemble(self.pipeline, told.recorded, self.steps, predictions)
-        self.pipeline.close()
+    exact = short_teams.told(particles=100, end_s=25)
+    config = replace(exact.config, start_poses=(exact.config.start_poses[0], "unknown"))
+    return replace(exact, config=config)
 
 
 @pytest.fixture(scope="module")
