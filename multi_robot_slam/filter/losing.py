@@ -75,9 +75,9 @@ def lose(
     since = [record for record in own if record.stamp_ns >= misled.since_ns] or own[-1:]
     _forget(state, robot, [r for r in own[: -len(since)] if r.stamp_ns >= misled.first_ns])
     another = len(state.poses)
-    _go_on_as(state, robot, another, since)
+    start = _go_on_as(state, robot, another, since)
     _apart(state, another, since, are_all=False)
-    _begin_alike(state, another, since)
+    _begin_alike(state, another, since, start.mean)
     tie = _slipped(state, another, misled.first_ns, settings, rng)
     return Lost(robot, another, _first_id(since[0], state.landmarks.next_id), tie)
 
@@ -104,13 +104,11 @@ def _slipped(
 ) -> Tie | None:
     """Tie the robot at once to what it has seen, more than once, a moment before `first_ns`."""
     landmarks, pieces = state.landmarks, state.pieces
-    is_before = [
-        pieces.team[record.robot] == pieces.team[another]
-        and first_ns - SOON_S * 1e9 <= record.stamp_ns < first_ns
-        for record in state.history.records
-    ]
     seen = [
-        np.unique(r.matches) for r, own in zip(state.history.records, is_before, strict=True) if own
+        np.unique(record.matches)
+        for record in state.history.records
+        if pieces.team[record.robot] == pieces.team[another]
+        and first_ns - SOON_S * 1e9 <= record.stamp_ns < first_ns
     ]
     ids, counts = np.unique(np.concatenate([np.empty(0, int), *seen]), return_counts=True)
     held, _ = landmarks.of_particle(best_particle(state))
@@ -140,8 +138,11 @@ def _first_id(record: Record, following: int) -> int:
     return int(record.new_ids[0]) if len(record.new_ids) else following
 
 
-def _go_on_as(state: State, robot: int, another: int, frames: list[Record]) -> None:
-    """Make `frames`, the last ones of `robot`, those of a robot that starts with the first."""
+def _go_on_as(state: State, robot: int, another: int, frames: list[Record]) -> Start:
+    """Make `frames`, the last ones of `robot`, those of a robot that starts with the first.
+
+    Where it starts: at the mean pose of all particles, which is certain.
+    """
     first = frames[0]
     state.poses = np.concatenate([state.poses, state.poses[robot : robot + 1]])
     state.pieces = state.pieces.with_another(robot)
@@ -157,6 +158,7 @@ def _go_on_as(state: State, robot: int, another: int, frames: list[Record]) -> N
     state.noise = state.noise.with_another(robot)
     state.prior = state.prior.with_another(start)
     state.existence = state.existence.with_another(robot)
+    return start
 
 
 def _mean_of(state: State, frame: Record) -> np.ndarray:
@@ -196,9 +198,9 @@ def _apart(state: State, robot: int, frames: list[Record], are_all: bool) -> Non
         state.optimum = Optimum(state.optimum.poses, None)
 
 
-def _begin_alike(state: State, another: int, frames: list[Record]) -> None:
-    """Shift and turn the piece in each particle so that in all it begins at the same pose."""
-    first, (mean, _) = frames[0], frames[0].start or Start(np.zeros(3), np.zeros((3, 3)))
+def _begin_alike(state: State, another: int, frames: list[Record], mean: np.ndarray) -> None:
+    """Shift and turn the piece in each particle so that in all it begins at `mean` (3,)."""
+    first = frames[0]
     turns = tying.composed_of(mean[:, None], _inverses(first.poses))
     rows = _rows_of(state, first)
     own, ancestors = {id(frame) for frame in frames}, np.arange(len(first.parents))

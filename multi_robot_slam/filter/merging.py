@@ -28,7 +28,6 @@ from multi_robot_slam.filter.settings import FilterSettings
 from multi_robot_slam.filter.settled import SeenLandmarks
 from multi_robot_slam.filter.tying import VAGUER
 from multi_robot_slam.filter.vote import Points, Vote
-from multi_robot_slam.models.descriptors import squared_distances
 from multi_robot_slam.models.motion import wrap
 from multi_robot_slam.models.symmetric import inverses, pack, unpack
 from multi_robot_slam.smoothing.aliases import Aliases
@@ -95,13 +94,6 @@ def count_shared(one: KeptMap, other: KeptMap) -> int:
     return len(ours & theirs)
 
 
-def alike(one: KeptMap, other: KeptMap, descriptor_gate: float) -> np.ndarray:
-    """(A, 2) rows of landmarks with E <= E_0, those first that look most alike."""
-    distances = squared_distances(one.descriptors, other.descriptors)
-    rows = np.argwhere(distances <= descriptor_gate)
-    return rows[np.argsort(distances[tuple(rows.T)], kind="stable")]
-
-
 def voted(one: KeptMap, other: KeptMap, pairs: np.ndarray) -> Vote | None:
     """Where the second map lies in the first, as landmarks that look alike (A, 2) have it."""
     ours, theirs = (Points(kept.positions, kept.covariances) for kept in (one, other))
@@ -120,7 +112,7 @@ def merged(
     ----------
     one, other : whose robots' bits mean the same.
     found : by `voted`.
-    pairs : (A, 2) rows of landmarks that look `alike`.
+    pairs : (A, 2) rows of landmarks that look alike (`vote.pairs_alike`).
 
     """
     behind = np.array([0, len(one.ids)])
@@ -192,12 +184,7 @@ def _also_one(joint: _Joint, pairs: np.ndarray, limit: float) -> np.ndarray:
     """The closest of `pairs` (A, 2) with D up to `limit`, each landmark in one at most."""
     apart, spread = joint.apart(pairs)
     squared = np.einsum("ai,ai->a", apart, np.linalg.solve(spread, apart[:, :, None])[:, :, 0])
-    order = np.argsort(squared, kind="stable")
-    order = order[squared[order] <= limit]
-    for column in (0, 1):
-        _, first = np.unique(pairs[order, column], return_index=True)
-        order = order[np.sort(first)]
-    return pairs[order]
+    return vote.one_to_one(pairs, squared, limit)
 
 
 def _kept(

@@ -19,7 +19,6 @@ from multi_robot_slam.filter.settings import FilterSettings
 from multi_robot_slam.filter.settled import Settled
 from multi_robot_slam.filter.state import Optimum, State, best_particle
 from multi_robot_slam.filter.vote import Points, Vote
-from multi_robot_slam.models.descriptors import squared_distances
 from multi_robot_slam.models.frames import Start
 from multi_robot_slam.models.motion import composed, move
 from multi_robot_slam.models.symmetric import pack, root, unpack
@@ -128,11 +127,10 @@ def vote_of(
     And the ids (k, 2) of those that agree; `thing_m` as of `vote.vote`.
     """
     landmarks, nothing = state.landmarks, np.empty((0, 2), np.int64)
-    distances = squared_distances(landmarks.descriptors[ours], landmarks.descriptors[theirs])
-    alike = np.argwhere(distances <= settings.descriptor_gate)
+    looks = landmarks.descriptors[ours], landmarks.descriptors[theirs]
+    alike = vote.pairs_alike(*looks, settings.descriptor_gate)[: vote.MOST_PAIRS]
     if len(alike) < 2:
         return None, nothing
-    alike = alike[np.argsort(distances[tuple(alike.T)], kind="stable")][: vote.MOST_PAIRS]
     columns, rows = [], []
     for own, paired in zip((ours, theirs), alike.T, strict=True):
         used = np.union1d(paired, vote.spread(len(own)))

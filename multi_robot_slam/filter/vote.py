@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import bdtrc
 
+from multi_robot_slam.models.descriptors import squared_distances
 from multi_robot_slam.models.symmetric import unpack
 
 THING_M = 1.5
@@ -124,6 +125,13 @@ def vote(ours: Points, theirs: Points, alike: np.ndarray, thing_m: float = THING
         others = proposed - len(agree) * (len(agree) - 1) // 2
         chance = (1 + max(others, 0)) * _tail(things - runner_up, len(alike) - 2, p)
     return Vote(pose, covariance, agree, things, runner_up, middle, chance)
+
+
+def pairs_alike(ours: np.ndarray, theirs: np.ndarray, gate: float) -> np.ndarray:
+    """(A, 2) rows of descriptors (n, 128) and (m, 128) with E <= `gate`, most alike first."""
+    squared = squared_distances(ours, theirs)
+    rows = np.argwhere(squared <= gate)
+    return rows[np.argsort(squared[tuple(rows.T)], kind="stable")]
 
 
 def distances(
@@ -249,7 +257,7 @@ def _fitted(
             return None
         pose, covariance = _least_squares(ours, theirs, agree, pose)
         squared = distances(ours, theirs, rows, pose, covariance)
-        before, agree = agree, _one_to_one(rows, squared)
+        before, agree = agree, one_to_one(rows, squared, IN_SPACE)
         if np.array_equal(before, agree):
             break
     if count_things(ours.places[agree[:, 0]], thing_m) < 2:
@@ -283,10 +291,10 @@ def _residuals(
     return apart, spread, jacobian
 
 
-def _one_to_one(rows: np.ndarray, squared: np.ndarray) -> np.ndarray:
-    """Of the pairs `rows` (m, 2) that agree the closest, each landmark in one at most."""
+def one_to_one(rows: np.ndarray, squared: np.ndarray, limit: float) -> np.ndarray:
+    """Of the pairs `rows` (m, 2) with D up to `limit` the closest, each landmark in one at most."""
     order = np.argsort(squared, kind="stable")
-    order = order[squared[order] <= IN_SPACE]
+    order = order[squared[order] <= limit]
     for column in (0, 1):
         _, first = np.unique(rows[order, column], return_index=True)
         order = order[np.sort(first)]

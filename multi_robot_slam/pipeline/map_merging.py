@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 from msg_defs import scenario_file
 from msg_defs.errors import InputError
 from multi_robot_slam.config import MOST_ROBOTS, SECTION, Config
-from multi_robot_slam.filter import merging
+from multi_robot_slam.filter import merging, vote
 from multi_robot_slam.filter.kept import KeptMap
 from multi_robot_slam.filter.merging import Merged
 from multi_robot_slam.filter.vote import FALSE_RATE, Vote
@@ -49,7 +49,7 @@ def merge(one: MapFile, other: MapFile) -> MergedFile:
             "what the other's team recorded since: run BAG --map FILE"
         )
     settings = scenario_file.from_yaml(Config, one.about["config"], SECTION, "first map").filter
-    pairs = merging.alike(first, second, settings.descriptor_gate)
+    pairs = vote.pairs_alike(first.descriptors, second.descriptors, settings.descriptor_gate)
     found = merging.voted(first, second, pairs)
     if found is None or not found.is_believed:
         raise InputError(_refusal(len(pairs), found))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import worlds
 
-from multi_robot_slam.filter import merging
+from multi_robot_slam.filter import merging, vote
 from multi_robot_slam.filter.running import ParticleFilter
 from multi_robot_slam.filter.settings import ExistenceSettings, RejuvenationSettings
 from multi_robot_slam.filter.tying import VAGUER
@@ -55,7 +55,7 @@ def maps():
 
 
 def merged(one, other):
-    pairs = merging.alike(one, other, settings().descriptor_gate)
+    pairs = vote.pairs_alike(one.descriptors, other.descriptors, settings().descriptor_gate)
     found = merging.voted(one, other, pairs)
     assert found.is_believed
     return found, merging.merged(one, other, found, pairs, settings())
@@ -221,7 +221,7 @@ def composed(pose, seen):
 
 def test_of_nothing_in_common_nothing_is_believed(maps):
     elsewhere = map_of(drive(1, seed=4), NOWHERE[None])
-    pairs = merging.alike(maps[0], elsewhere, 0.7)
+    pairs = vote.pairs_alike(maps[0].descriptors, elsewhere.descriptors, 0.7)
     assert len(pairs) > 50
     found = merging.voted(maps[0], elsewhere, pairs)
     assert found is None or not found.is_believed
