@@ -49,7 +49,7 @@ def proxy():
 
 
 @contextmanager
-def chromium(profile, width_px, height_px, proxy_port):
+def chromium(profile, width_px, height_px, proxy_port=None):
     """A window of Chromium with its profile in a folder; skips the test where there is none."""
     webdriver = pytest.importorskip("selenium.webdriver")
     program = shutil.which("chromium") or shutil.which("google-chrome")
@@ -58,8 +58,8 @@ def chromium(profile, width_px, height_px, proxy_port):
         pytest.skip("no Chromium: install the packages chromium and chromium-driver")
     options = webdriver.ChromeOptions()
     options.binary_location = program
-    own = f"--user-data-dir={profile}", f"--proxy-server=127.0.0.1:{proxy_port}"
-    for flag in (*FLAGS, *own):
+    through = () if proxy_port is None else (f"--proxy-server=127.0.0.1:{proxy_port}",)
+    for flag in (*FLAGS, f"--user-data-dir={profile}", *through):
         options.add_argument(flag)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
     service = webdriver.ChromeService(executable_path=driver)

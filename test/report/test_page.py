@@ -3,9 +3,9 @@
 import base64
 import json
 import re
-import shutil
 from dataclasses import replace
 
+import browsing
 import numpy as np
 import pytest
 import recordings
@@ -554,11 +554,6 @@ def test_the_pictures_of_a_team_are_bounded(monkeypatch):
 
 # ---- in a browser
 
-FLAGS = (
-    *("--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-quic"),
-    *("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"),
-    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
-)
 HARMLESS = ("willReadFrequently", "GL Driver Message")
 TEAM = fake_run(robots=3, steps=20, landmarks=8)
 
@@ -566,20 +561,7 @@ TEAM = fake_run(robots=3, steps=20, landmarks=8)
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory):
     """Chromium, which records what it asks the network for."""
-    webdriver = pytest.importorskip("selenium.webdriver")
-    chromium = shutil.which("chromium") or shutil.which("google-chrome")
-    driver = shutil.which("chromedriver")
-    if chromium is None or driver is None:
-        pytest.skip("no Chromium: install the packages chromium and chromium-driver")
-    options = webdriver.ChromeOptions()
-    options.binary_location = chromium
-    for flag in (*FLAGS, f"--user-data-dir={tmp_path_factory.mktemp('profile')}"):
-        options.add_argument(flag)
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
-    service = webdriver.ChromeService(executable_path=driver)
-    with webdriver.Chrome(options=options, service=service) as browser:
-        browser.set_window_size(1280, 800)
-        browser.set_page_load_timeout(60)
+    with browsing.chromium(tmp_path_factory.mktemp("profile"), 1280, 800) as browser:
         yield browser
 
 
